@@ -11,6 +11,7 @@ use aplomb::mpu6050::{AccelerometerCounts, AccelerometerRange, GyroscopeCounts, 
 use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
+use aplomb_recordings::form::header;
 use aplomb_recordings::log::{Lines, LogColumns, LogError, LogFault, Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
@@ -101,11 +102,14 @@ impl Recording {
     pub fn read(path: &Path, handling: Handling) -> Result<Found, LogError> {
         let unusable = |reason: &str| Ok(Found::Unusable(reason.to_owned()));
         let mut lines = Lines::open(path, |file| file)?;
-        let header = match lines.next_line() {
-            Ok(Some(header)) => header,
-            Ok(None) => return unusable("it is empty"),
+        let header = match header(&mut lines) {
+            Ok(header) => header,
             Err(LogError {
-                reason: LogFault::NotText,
+                reason: LogFault::Empty,
+                ..
+            }) => return unusable("it is empty"),
+            Err(LogError {
+                reason: LogFault::NotText | LogFault::NoTable { .. },
                 ..
             }) => return unusable("it is no text"),
             Err(error) => return Err(error),
@@ -113,7 +117,7 @@ impl Recording {
         if header == aplomb::telemetry::bursts::HEADER {
             return unusable("bursts have no truth: `aplomb replay` takes them");
         }
-        let Some(columns) = LogColumns::of(header) else {
+        let Some(columns) = LogColumns::of(&header) else {
             return unusable("it is no log: it does not begin with t_us,ax,ay,az,gx,gy,gz");
         };
         let mut recording = Self {
@@ -121,10 +125,10 @@ impl Recording {
             name: name_of(Some(path)),
             delay_us: handling.delay_us,
             reference: Reference::Truth,
-            accelerometer: match handling.ranges {
+            accelerometer: lines.accelerometer().unwrap_or(match handling.ranges {
                 Some(_) => AccelerometerKnowledge::Factory,
                 None => AccelerometerKnowledge::Calibrated,
-            },
+            }),
             samples: Vec::new(),
             true_up: Vec::new(),
             compass: columns.has_compass().then(|| handling.compass()),

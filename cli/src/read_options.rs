@@ -39,8 +39,9 @@ pub struct ReadOptions {
         value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
     )]
     sensor_delay_us: Option<u32>,
-    /// Knowledge of the accelerometer's offset: factory, six-poses, calibrated [default:
-    /// calibrated for SI units, factory for bursts and register counts]. A calibrated sensor has a
+    /// Knowledge of the accelerometer's offset: factory, six-poses, calibrated [default: what the
+    /// recording states in a line such as `# --accelerometer factory`, else calibrated for SI
+    /// units, factory for bursts and register counts]. A calibrated sensor has a
     /// calibrated gyroscope too. If unsure, choose factory: calibrated for a factory chip makes
     /// sigma up to two times too small, factory for a calibrated one costs a tenth of the accuracy
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
@@ -185,13 +186,14 @@ impl ReadOptions {
         self.check_compass(form)?;
         self.check_armed(form)?;
         let arming = Arming::new(self.armed_from);
+        let accelerometer = self.accelerometer.or(lines.accelerometer());
         Ok(match form {
             Form::Bursts => {
                 let (mount, config) = (self.mount(), self.counts.config());
                 let delay_us = self.sensor_delay_us;
                 let mut bursts = BurstSource::new(lines, self.filter(), mount, config, delay_us);
                 bursts.set_arming(arming);
-                if let Some(knowledge) = self.accelerometer {
+                if let Some(knowledge) = accelerometer {
                     bursts.set_accelerometer_knowledge(knowledge);
                 }
                 Box::new(bursts)
@@ -203,7 +205,7 @@ impl ReadOptions {
                     mount: self.mount(),
                     delay_us: self.sensor_delay_us.unwrap_or(0),
                     ranges: self.counts.ranges(),
-                    accelerometer: self.accelerometer,
+                    accelerometer,
                     compass: CompassOptions {
                         knowledge: self.compass.unwrap_or_default(),
                         delay_us: self.compass_delay_us.unwrap_or(0),

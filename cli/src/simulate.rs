@@ -12,6 +12,7 @@ use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
+use aplomb_recordings::log::ACCELEROMETER_COMMENT;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::simulated::{COMPASS_LOG_HEADER, LOG_HEADER, errors, samples_with};
 use aplomb_recordings::simulated_compass::{COMPASS_DELAY_US, SimulatedCompass};
@@ -65,8 +66,9 @@ impl Kind {
 /// It lies face up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a
 /// second (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to
 /// earth with z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask
-/// fly --log` read it. Samples are 1900 microseconds late, as a real sensor's are: --sensor-delay-
-/// us 1900. Give `replay` and `plot` the same --accelerometer.
+/// fly --log` read it. Its first line, such as `# --accelerometer factory`, states the knowledge
+/// for them. Samples are 1900 microseconds late, as a real sensor's are: give `replay` and `plot`
+/// --sensor-delay-us 1900.
 ///
 /// With --compass the log has the columns mx,my,mz too (µT, empty where there is no new reading;
 /// 100 readings a second). The field is the earth's, with hard and soft iron, the motors'
@@ -74,11 +76,11 @@ impl Kind {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb simulate --seed 7 --output flight.csv.gz
-  aplomb replay flight.csv.gz --sensor-delay-us 1900 --accelerometer factory
+  aplomb replay flight.csv.gz --sensor-delay-us 1900
   aplomb simulate --kind poses --seconds 36 --output poses.csv && aplomb calibrate poses.csv
   aplomb simulate --compass calibrated --magnet 30 --output magnet.csv
   aplomb replay magnet.csv --compass calibrated --compass-delay-us 2100 \\
-    --sensor-delay-us 1900 --accelerometer factory")]
+    --sensor-delay-us 1900")]
 pub struct Options {
     /// Motion
     #[arg(long, value_enum, default_value_t = Kind::Flight)]
@@ -144,6 +146,15 @@ impl Options {
     }
 }
 
+/// Returns the name that the option `--accelerometer` takes.
+const fn name_of(knowledge: AccelerometerKnowledge) -> &'static str {
+    match knowledge {
+        AccelerometerKnowledge::Factory => "factory",
+        AccelerometerKnowledge::SixPoses => "six-poses",
+        AccelerometerKnowledge::Calibrated => "calibrated",
+    }
+}
+
 /// Describes a simulated compass.
 fn describe(magnetism: &Magnetism) -> String {
     let EarthField {
@@ -177,7 +188,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Some(_) => COMPASS_LOG_HEADER,
         None => LOG_HEADER,
     };
-    let mut line = format!("{header}\n").into_bytes();
+    let knowledge = name_of(options.accelerometer);
+    let mut line = format!("{ACCELEROMETER_COMMENT}{knowledge}\n{header}\n").into_bytes();
     let motion = options.kind.motion(options.seed);
     let errors = errors(options.seed, options.accelerometer);
     for sample in samples_with(motion, options.seed, errors, options.seconds) {

@@ -33,7 +33,7 @@ fn rest(test: &str) -> Vec<String> {
     assert!(simulated.status.success());
     let text = std::fs::read_to_string(log).unwrap();
     let sensor = |line: &str| line.split(',').take(7).collect::<Vec<_>>().join(",");
-    text.lines().skip(1).map(sensor).collect()
+    text.lines().skip(2).map(sensor).collect()
 }
 
 /// Writes these rows, with a column `armed` that has a cell at each change alone, or without one.

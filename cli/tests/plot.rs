@@ -70,6 +70,7 @@ fn a_simulated_motion_is_one_by_its_seed() {
     }
     let rows = String::from_utf8(first).unwrap();
     let mut lines = rows.lines();
+    assert_eq!(lines.next(), Some("# --accelerometer factory"));
     assert_eq!(lines.next(), Some("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov"));
     assert_eq!(lines.clone().count(), 8_000);
     let (first, last) = (lines.next().unwrap(), lines.next_back().unwrap());
@@ -110,6 +111,29 @@ fn a_simulated_accelerometer_is_as_good_as_its_calibration() {
         factory > 2.0 * six && six > 4.0 * twelve,
         "{factory} {six} {twelve}"
     );
+}
+
+#[test]
+fn a_simulated_recording_states_the_knowledge_of_its_sensor() {
+    let within = |log: &Path, options: &[&str]| {
+        let replay = ["replay", text(log), "--json", "--sensor-delay-us", "1900"];
+        let printed = run(&[&replay[..], options].concat());
+        let summary: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        (summary["within_3_sigma"].as_f64().unwrap(), printed)
+    };
+    let options = ["--seed", "2004", "--seconds", "30"];
+    let factory = simulate("stated", "factory.csv.gz", &options);
+    let (share, stated) = within(&factory, &[]);
+    assert!(share > 0.99, "{share}");
+    assert_eq!(stated, within(&factory, &["--accelerometer", "factory"]).1);
+    // An option has precedence.
+    let (small, _) = within(&factory, &["--accelerometer", "calibrated"]);
+    assert!(small < share - 0.05, "{small}");
+    let mut poses = options.to_vec();
+    poses.extend(["--accelerometer", "six-poses"]);
+    let poses = simulate("stated", "six-poses.csv", &poses);
+    let (_, stated) = within(&poses, &[]);
+    assert_eq!(stated, within(&poses, &["--accelerometer", "six-poses"]).1);
 }
 
 #[test]
@@ -176,8 +200,9 @@ fn attitudes_are_drawn_with_a_truth_of_their_own_file() {
     let late = std::fs::read_to_string(&log)
         .unwrap()
         .lines()
-        .take(1)
-        .collect::<String>()
+        .nth(1)
+        .expect("a header")
+        .to_owned()
         + "\n99000000,0,0,9.8,0,0,0,1,0,0,0,1\n";
     let late = file("truth", "late.csv", late);
     refused(

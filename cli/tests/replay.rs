@@ -923,7 +923,8 @@ fn a_simulated_flight_has_the_error_of_the_librarys_own_filter() {
     let name = log.to_str().unwrap();
     let simulated = aplomb(&["simulate", "--seed", "1000", "--output", name]);
     assert!(simulated.status.success());
-    let options = ["--json", "--sensor-delay-us", "1900"];
+    let options = "--json --sensor-delay-us 1900 --accelerometer calibrated";
+    let options: Vec<&str> = options.split(' ').collect();
     let (json, _) = replay("simulated", &log, &options);
     let replayed: serde_json::Value = serde_json::from_str(&json).unwrap();
     let mut estimator = Estimator::new();
@@ -980,7 +981,7 @@ fn slow_polling_is_degraded_and_very_slow_polling_never_valid() {
         (5, true, 0.5..1.0, 0.5..1.0),
         (1, true, 0.0..0.01, 0.9..1.01),
     ] {
-        let rows = log.lines().skip(1).step_by(1_000 / rate);
+        let rows = log.lines().skip(2).step_by(1_000 / rate);
         let mut pipeline = {
             let mut settings = Settings::new(&Part::MPU_6050);
             if is_known {

@@ -83,7 +83,8 @@ fn stuck(columns: &[usize]) -> String {
     let output = flight.to_str().unwrap();
     run(&["simulate", "--seconds", "25", "--output", output]);
     let text = std::fs::read_to_string(&flight).unwrap();
-    let mut rows: Vec<Vec<&str>> = text.lines().map(|row| row.split(',').collect()).collect();
+    let table = text.lines().skip(1);
+    let mut rows: Vec<Vec<&str>> = table.map(|row| row.split(',').collect()).collect();
     let held = rows[15_000].clone();
     for row in &mut rows[15_001..20_000] {
         for &column in columns {

@@ -77,12 +77,14 @@ def log_with_compass(log, tmp_path):
 
 
 def test_a_recording_gives_the_bits_of_replay(log, tmp_path):
+    # The recording states that its sensor is a factory one: an option has precedence.
+    calibrated = ["--accelerometer", "calibrated"]
     recording, attitudes = assert_same(
-        log, tmp_path, "--sensor-delay-us", "1900", sensor_delay_us=1900
+        log, tmp_path, *calibrated, "--sensor-delay-us", "1900", sensor_delay_us=1900
     )
     assert attitudes.euler_rad.shape == attitudes.rates_rad_s.shape == (len(recording.t_us), 3)
-    assert_same(log, tmp_path, "--mount", "+y+z", mount="+y+z")
-    assert_same(log, tmp_path, "--accelerometer", "factory", accelerometer="factory")
+    assert_same(log, tmp_path, *calibrated, "--mount", "+y+z", mount="+y+z")
+    assert_same(log, tmp_path, accelerometer="factory")
 
 
 def test_an_armed_recording_gives_the_bits_of_replay(log_with_compass, tmp_path):

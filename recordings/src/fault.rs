@@ -108,6 +108,13 @@ pub enum LogFault {
         quote(.0), difference(.0)
     )]
     Header(String),
+    /// The comment states no knowledge of the accelerometer.
+    #[error(
+        "\"{}\" is no knowledge of the accelerometer: write factory, six-poses or calibrated, or \
+         remove the line",
+        quote(.0)
+    )]
+    Knowledge(String),
     /// The row has more or fewer cells than the header.
     #[error("the row has {found} columns, but the header has {expected}")]
     ColumnCount {
@@ -236,6 +243,7 @@ impl LogFault {
             | Self::CarriageReturns
             | Self::NoTable { .. }
             | Self::Header(_)
+            | Self::Knowledge(_)
             | Self::Unit(_)
             | Self::Milliseconds { .. }
             | Self::TooShort => false,

@@ -37,7 +37,8 @@ impl Form {
     }
 }
 
-/// Reads the header of a table: the next line that is no comment. From then on the columns of a
+/// Reads the header of a table: the next line that is no comment. A comment may state the
+/// knowledge of the accelerometer: see [`Lines::accelerometer`]. From then on the columns of a
 /// log come in their usual order, whatever that of the table is, without those of other names.
 ///
 /// # Errors
@@ -46,7 +47,7 @@ impl Form {
 pub fn header(lines: &mut Lines) -> Result<String, LogError> {
     loop {
         match lines.next_line() {
-            Ok(Some(line)) if line.starts_with('#') => {}
+            Ok(Some(line)) if line.starts_with('#') => lines.take_comment()?,
             Ok(Some(header)) => {
                 let header = header.to_owned();
                 if LogColumns::of(&header).is_none()

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use flate2::bufread::MultiGzDecoder;
 
 use crate::columns::Order;
@@ -15,6 +16,9 @@ use crate::quote::quote;
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// Most NUL bytes that are passed over within a line: file systems reserve no more for a logger.
 const MOST_NULS: usize = 1 << 30;
+/// Start of a comment before the header that states the knowledge of the accelerometer, as the
+/// option of this name does.
+pub const ACCELEROMETER_COMMENT: &str = "# --accelerometer ";
 /// Bytes that are read and unpacked at once.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
@@ -34,6 +38,8 @@ pub struct Lines {
     number: u64,
     /// Order of the columns, if it is not that of a log, and the last line in that of a log.
     order: Option<(Order, String)>,
+    /// Knowledge of the accelerometer that a comment states.
+    accelerometer: Option<AccelerometerKnowledge>,
 }
 
 impl Lines {
@@ -93,6 +99,7 @@ impl Lines {
             is_unread: false,
             number: 0,
             order: None,
+            accelerometer: None,
         })
     }
 
@@ -142,6 +149,25 @@ impl Lines {
             eprintln!("note: {}: columns that are not used: {names}", self.name());
         }
         self.order = Some((order, String::new()));
+    }
+
+    /// Takes the last line, which is a comment. If it states the knowledge of the accelerometer,
+    /// keeps that.
+    pub(crate) fn take_comment(&mut self) -> Result<(), LogError> {
+        let comment = str::from_utf8(&self.line).unwrap_or_default();
+        if let Some(name) = comment.strip_prefix(ACCELEROMETER_COMMENT) {
+            let name = name.trim();
+            let known = AccelerometerKnowledge::from_name(name);
+            let unknown = || self.refuse(LogFault::Knowledge(name.to_owned()));
+            self.accelerometer = Some(known.ok_or_else(unknown)?);
+        }
+        Ok(())
+    }
+
+    /// Returns the knowledge of the accelerometer that a comment before the header states.
+    #[must_use]
+    pub fn accelerometer(&self) -> Option<AccelerometerKnowledge> {
+        self.accelerometer
     }
 
     /// Returns whether the last line is that of a text, whatever its encoding.

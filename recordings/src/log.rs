@@ -15,7 +15,8 @@
 //! in which the vehicle is armed, 0 from the row on in which it is disarmed; an empty cell leaves
 //! the state, which begins disarmed, as it is.
 //!
-//! Lines that begin with `#` before the header, and blank lines, are no rows. [`Rows`] reads row by
+//! Lines that begin with `#` before the header, and blank lines, are no rows. The line
+//! `# --accelerometer factory` (or another knowledge) stands for the option. [`Rows`] reads row by
 //! row, in any unit, and refuses what no sensor measures; [`Log::read`] reads a whole log with it.
 //! [`parse_row`] checks the form alone: numbers may have any value.
 
@@ -23,7 +24,7 @@ use std::path::Path;
 
 pub use crate::fault::{LogError, LogFault};
 use crate::form::header;
-pub use crate::lines::Lines;
+pub use crate::lines::{ACCELEROMETER_COMMENT, Lines};
 pub use crate::row::{LogColumns, Row, parse_row};
 pub use crate::rows::Rows;
 use crate::units::{BadRows, RowOptions};
@@ -283,6 +284,10 @@ mod tests {
 
     #[test]
     fn the_file_as_a_whole_is_checked_too() {
+        let stated = format!("# --accelerometer fact\n{HEADER}\n{GOOD}\n");
+        let (line, reason) = parse(stated).unwrap_err();
+        assert_eq!(line, Some(1));
+        assert!(reason.to_string().contains("\"fact\""), "{reason}");
         for empty in ["", "\n", "# a comment\n\n"] {
             assert!(matches!(parse(empty), Err((None, LogFault::Empty))));
         }
