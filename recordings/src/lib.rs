@@ -55,3 +55,4 @@ pub mod text;
 pub mod turns;
 pub mod units;
 pub mod vibration;
+mod wrap;

@@ -6,7 +6,8 @@ use crate::fault::{LogError, LogFault};
 use crate::lines::Lines;
 use crate::plausibility::{JUDGED_ROWS, Judge};
 use crate::row::{LogColumns, Row, parse_row_with};
-use crate::units::{BadRows, RowOptions};
+use crate::units::{BadRows, RowOptions, TimeUnit};
+use crate::wrap::Wraps;
 
 /// Lines after a bad one that are read for one that is good.
 const LINES_AFTER: usize = 100;
@@ -29,6 +30,9 @@ pub struct Rows {
     /// Place and fault of the first row that was left out.
     first_skipped: Option<LogError>,
     has_warned: bool,
+    /// Wraps of the clock, if it may be one of 32 bits that counts microseconds.
+    wraps: Option<Wraps>,
+    has_wrapped: bool,
 }
 
 impl Rows {
@@ -56,6 +60,12 @@ impl Rows {
             skipped: 0,
             first_skipped: None,
             has_warned: false,
+            wraps: match (options.time_unit, options.bad_rows) {
+                (_, Some(BadRows::Keep)) => None,
+                (None | Some(TimeUnit::Microseconds), _) => Some(Wraps::default()),
+                _ => None,
+            },
+            has_wrapped: false,
         };
         rows.read_ahead(JUDGED_ROWS);
         let first = rows.ahead.iter().map(|(_, row)| row);
@@ -183,7 +193,7 @@ impl Rows {
         loop {
             let error = match self.lines.next_line() {
                 Ok(Some(line)) => match parse(line, self.columns, &self.options) {
-                    Ok(row) => return Ok(Some((self.lines.number(), row))),
+                    Ok(row) => return Ok(Some((self.lines.number(), self.count_on(row)))),
                     Err(fault) => self.lines.refuse(fault),
                 },
                 Ok(None) => return Ok(None),
@@ -191,6 +201,23 @@ impl Rows {
             };
             self.skip_or_refuse(error)?;
         }
+    }
+
+    /// Counts the time of a row on, where the clock has wrapped.
+    fn count_on(&mut self, mut row: Row) -> Row {
+        let Some(wraps) = &mut self.wraps else {
+            return row;
+        };
+        let (time_us, has_wrapped) = wraps.count(row.time_us);
+        row.time_us = time_us;
+        if has_wrapped && !std::mem::replace(&mut self.has_wrapped, true) {
+            eprintln!(
+                "note: {}: t_us begins again, as a clock of 32 bits does after 71.6 minutes: it \
+                 is counted on",
+                self.lines.place()
+            );
+        }
+        row
     }
 
     fn skip_or_refuse(&mut self, mut error: LogError) -> Result<(), LogError> {
@@ -210,7 +237,7 @@ impl Rows {
 
     /// Returns whether rows are left without the bad ones: one of the next, or one before the end.
     fn has_good_rows(&mut self) -> bool {
-        let mut judge = self.judge.clone();
+        let (mut judge, mut wraps) = (self.judge.clone(), self.wraps);
         if self.ahead.iter().any(|(_, row)| judge.row(row).is_ok()) {
             return true;
         }
@@ -218,9 +245,13 @@ impl Rows {
             let Ok(Some(line)) = self.lines.next_line() else {
                 return self.judge.has_row() && self.ahead.is_empty();
             };
-            let row = parse(line, self.columns, &self.options);
-            if row.is_ok_and(|row| judge.row(&row).is_ok()) {
-                return true;
+            if let Ok(mut row) = parse(line, self.columns, &self.options) {
+                if let Some(wraps) = &mut wraps {
+                    row.time_us = wraps.count(row.time_us).0;
+                }
+                if judge.row(&row).is_ok() {
+                    return true;
+                }
             }
         }
         false
@@ -577,6 +608,23 @@ mod tests {
             assert!(read.is_ok_and(|(rows, _)| rows.len() == 500));
         }
         assert!(read(&rest("0.037,-0.056,0.024"), SI, false).is_ok());
+    }
+
+    #[test]
+    fn a_clock_of_32_bits_is_counted_on() {
+        let log = (0..1_000_i64).fold(String::new(), |mut text, index| {
+            let time_us = (4_290_000_000 + index * 10_000) % (1 << 32);
+            writeln!(text, "{time_us},0.2,0.1,9.8,0.01,0,0").expect("memory");
+            text
+        });
+        for options in [SI, SKIP] {
+            let (rows, skipped) = read(&log, options, false).expect("it is counted on");
+            assert_eq!((rows.len(), skipped), (1_000, 0));
+            let steps = rows
+                .windows(2)
+                .map(|pair| pair[1].time_us - pair[0].time_us);
+            assert!(steps.into_iter().all(|step| step == 10_000));
+        }
     }
 
     #[test]
