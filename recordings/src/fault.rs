@@ -19,7 +19,7 @@ pub struct LogError {
     pub line: Option<u64>,
     /// Fault of the line or file.
     pub reason: LogFault,
-    /// The option `--bad-rows skip` leaves the row out.
+    /// The option `--bad-rows skip` leaves the row out, or all after a cut.
     pub can_be_skipped: bool,
 }
 
@@ -115,6 +115,12 @@ pub enum LogFault {
         quote(.0)
     )]
     Knowledge(String),
+    /// The last row ends in the middle of a number.
+    #[error(
+        "the last row ends in the middle of a number: it has no line end, and fewer decimals than \
+         every row before"
+    )]
+    CutNumber,
     /// The row has more or fewer cells than the header.
     #[error("the row has {found} columns, but the header has {expected}")]
     ColumnCount {
@@ -231,6 +237,13 @@ pub enum LogFault {
 }
 
 impl LogFault {
+    /// Returns whether compressed data ends too early: the rows before the cut are good.
+    #[must_use]
+    pub fn is_cut_off(&self) -> bool {
+        let is_end = |error: &io::Error| error.kind() == io::ErrorKind::UnexpectedEof;
+        matches!(self, Self::Gzip(error) if is_end(error))
+    }
+
     /// Returns whether the fault is of one row, which can be left out.
     #[must_use]
     pub fn is_of_a_row(&self) -> bool {
@@ -250,6 +263,7 @@ impl LogFault {
             Self::LineTooLong
             | Self::Nuls(_)
             | Self::NotText
+            | Self::CutNumber
             | Self::ColumnCount { .. }
             | Self::NotANumber { .. }
             | Self::Time(_)
@@ -319,7 +333,10 @@ impl fmt::Display for LogError {
         }
         write!(formatter, ": {}", self.reason)?;
         if self.can_be_skipped {
-            formatter.write_str("; --bad-rows skip leaves such rows out")?;
+            formatter.write_str(match self.reason.is_cut_off() {
+                true => "; --bad-rows skip uses the rows before the cut",
+                false => "; --bad-rows skip leaves such rows out",
+            })?;
         }
         Ok(())
     }

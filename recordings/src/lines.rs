@@ -19,6 +19,8 @@ const MOST_NULS: usize = 1 << 30;
 /// Start of a comment before the header that states the knowledge of the accelerometer, as the
 /// option of this name does.
 pub const ACCELEROMETER_COMMENT: &str = "# --accelerometer ";
+/// Fewest numbers that show how many decimals the last cell of a line has.
+const FEWEST_NUMBERS: usize = 8;
 /// Bytes that are read and unpacked at once.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
@@ -34,6 +36,11 @@ pub struct Lines {
     nuls: usize,
     /// The last line is the next one again.
     is_unread: bool,
+    /// The last line has an end.
+    is_ended: bool,
+    /// Number of lines that end with a number, and its fewest decimals.
+    numbers: usize,
+    least_decimals: usize,
     /// Number of the last line, counted from 1.
     number: u64,
     /// Order of the columns, if it is not that of a log, and the last line in that of a log.
@@ -97,6 +104,9 @@ impl Lines {
             line: Vec::new(),
             nuls: 0,
             is_unread: false,
+            is_ended: true,
+            numbers: 0,
+            least_decimals: usize::MAX,
             number: 0,
             order: None,
             accelerometer: None,
@@ -122,6 +132,9 @@ impl Lines {
                 if !self.line.trim_ascii().is_empty() {
                     break;
                 }
+            }
+            if self.is_number_cut() {
+                return Err(self.refuse(LogFault::CutNumber));
             }
         }
         // Some programs begin a text with the byte order mark, which is invisible.
@@ -224,6 +237,7 @@ impl Lines {
             self.line.extend_from_slice(part);
             let used = part.len() + usize::from(is_ended);
             self.text.consume(used);
+            self.is_ended = is_ended;
             if is_ended {
                 break;
             }
@@ -232,6 +246,20 @@ impl Lines {
             self.line.pop();
         }
         Ok(!is_end)
+    }
+
+    /// Returns whether the last line has no end, and its last number fewer decimals than each one
+    /// before: the program or computer that wrote it stopped there.
+    fn is_number_cut(&mut self) -> bool {
+        let Some(decimals) = decimals(&self.line) else {
+            return false;
+        };
+        if !self.is_ended && self.numbers >= FEWEST_NUMBERS && decimals < self.least_decimals {
+            return true;
+        }
+        self.numbers += 1;
+        self.least_decimals = self.least_decimals.min(decimals);
+        false
     }
 
     /// Makes the last line the next one again.
@@ -282,6 +310,18 @@ impl Lines {
             can_be_skipped: false,
         }
     }
+}
+
+/// Returns the number of bytes after the decimal point of the last cell; `None` if the cell is no
+/// number.
+fn decimals(line: &[u8]) -> Option<usize> {
+    let cell = line.rsplit(|byte| *byte == b',').next()?.trim_ascii();
+    let is_of_a_number = |byte: &u8| byte.is_ascii_digit() || b"+-.eE".contains(byte);
+    if !cell.iter().all(is_of_a_number) || !cell.iter().any(u8::is_ascii_digit) {
+        return None;
+    }
+    let point = memchr::memchr(b'.', cell);
+    Some(point.map_or(0, |point| cell.len() - point - 1))
 }
 
 /// Returns whether these bytes are of a text, whatever its encoding. A text may end with NUL bytes,

@@ -363,6 +363,16 @@ mod tests {
         let cut = Temporary::new("cut.csv.gz", &bytes[..bytes.len() / 2]);
         let error = Log::read(&cut.0).unwrap_err();
         assert!(matches!(error.reason, LogFault::Gzip(_)), "{error}");
+        let advice = "--bad-rows skip uses the rows before the cut";
+        assert!(error.to_string().ends_with(advice), "{error}");
+        let skip = RowOptions {
+            bad_rows: Some(BadRows::Skip),
+            ..RowOptions::default()
+        };
+        let part = Log::read_with(&cut.0, skip).expect("the part before the cut");
+        let whole = parse(long_log()).unwrap();
+        assert!((2..500).contains(&part.rows().len()));
+        assert!(whole.rows().starts_with(part.rows()));
         assert!(
             error
                 .to_string()
@@ -374,7 +384,7 @@ mod tests {
         bytes[checksum] ^= 1;
         let damaged = Temporary::new("damaged.csv.gz", &bytes);
         assert!(matches!(
-            Log::read(&damaged.0).unwrap_err().reason,
+            Log::read_with(&damaged.0, skip).unwrap_err().reason,
             LogFault::Gzip(_)
         ));
     }

@@ -190,6 +190,7 @@ impl Rows {
 
     /// Reads the next row that has the form of one, with the number of its line.
     fn read(&mut self) -> Result<Option<(u64, Row)>, LogError> {
+        let skips = self.rule() == BadRows::Skip;
         loop {
             let error = match self.lines.next_line() {
                 Ok(Some(line)) => match parse(line, self.columns, &self.options) {
@@ -197,6 +198,10 @@ impl Rows {
                     Err(fault) => self.lines.refuse(fault),
                 },
                 Ok(None) => return Ok(None),
+                Err(error) if skips && error.reason.is_cut_off() => {
+                    eprintln!("warning: {error}: the rows before the cut are used");
+                    return Ok(None);
+                }
                 Err(error) => error,
             };
             self.skip_or_refuse(error)?;
@@ -223,7 +228,10 @@ impl Rows {
     fn skip_or_refuse(&mut self, mut error: LogError) -> Result<(), LogError> {
         let is_of_a_row = error.reason.is_of_a_row();
         if !is_of_a_row || self.rule() != BadRows::Skip {
-            error.can_be_skipped = is_of_a_row && self.has_good_rows();
+            error.can_be_skipped = match error.reason.is_cut_off() {
+                true => self.judge.has_row() || !self.ahead.is_empty(),
+                false => is_of_a_row && self.has_good_rows(),
+            };
             return Err(error);
         }
         // A line without end cannot be left out.
@@ -625,6 +633,33 @@ mod tests {
                 .map(|pair| pair[1].time_us - pair[0].time_us);
             assert!(steps.into_iter().all(|step| step == 10_000));
         }
+    }
+
+    #[test]
+    fn a_last_row_that_ends_in_a_number_is_a_bad_row() {
+        let log = turned(1.0, 1.0, 1.0);
+        let log = log.lines().map(|line| format!("{line}.25\n"));
+        let log: String = log.collect();
+        let whole = log.trim_end();
+        assert_eq!(read(whole, SI, false).expect("no line end").0.len(), 2_000);
+        for cut in [1, 2, 3] {
+            let text = &whole[..whole.len() - cut];
+            let refusal = read(text, SI, false).expect_err("a cut row");
+            assert!(
+                refusal.contains("test.csv:2000: the last row ends in"),
+                "{refusal}"
+            );
+            assert!(refusal.ends_with("leaves such rows out"), "{refusal}");
+            let (rows, skipped) = read(text, SKIP, false).expect("it is left out");
+            assert_eq!((rows.len(), skipped), (1_999, 1));
+        }
+        // With a line end, the number is whole.
+        let ended = format!("{}\n", &whole[..whole.len() - 1]);
+        assert!(read(&ended, SI, false).is_ok());
+        // Without decimals nothing shows a cut.
+        let counts = turned(1.0, 1.0, 1.0);
+        let counts = counts.trim_end();
+        assert!(read(counts, SI, false).is_ok());
     }
 
     #[test]
