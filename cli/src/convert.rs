@@ -99,6 +99,17 @@ impl Kind {
     /// Refuses a conversion into the present kind, and options that mean nothing.
     fn check(self, options: &Options, into: Self) -> Result<(), String> {
         let input = options.input.display();
+        let given = options.rows.given().into_iter();
+        let mut given = given.filter_map(|(name, is_given)| is_given.then_some(name));
+        if let Some(name) = given
+            .next()
+            .filter(|_| self == Self::Csv && into == Self::Csv)
+        {
+            return Err(format!(
+                "{input}: `convert` changes the form of a recording, and no CSV into another: \
+                 `replay`, `plot` and `calibrate` take {name} themselves"
+            ));
+        }
         if self == into {
             return Err(format!("{input}: it is {} already: copy it", self.name()));
         }

@@ -340,6 +340,12 @@ fn a_form_is_not_converted_into_itself() {
         assert!(message.contains(&reason), "{message}");
         assert!(!output.exists());
     }
+    let output = named("same", "other.csv");
+    let message = refusal(&["convert", &csv, &output, "--force-unit", "g"]);
+    assert!(
+        message.contains("take --force-unit themselves"),
+        "{message}"
+    );
 }
 
 #[test]
