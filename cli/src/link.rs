@@ -218,6 +218,9 @@ fn open(path: &str, baud: u32) -> serialport::Result<Box<dyn SerialPort>> {
     serialport::new(path, baud).timeout(READ_TIMEOUT).open()
 }
 
+/// Text of the error of a file or device that is no terminal line: ENOTTY.
+const NO_TERMINAL: &str = "typewriter";
+
 /// Returns why a port cannot be opened, and what to do.
 fn explain(path: &str, error: &serialport::Error) -> String {
     let advice = match error.kind() {
@@ -233,6 +236,9 @@ fn explain(path: &str, error: &serialport::Error) -> String {
         }
         ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::NotFound) => {
             format!("there is no such port. {}", found())
+        }
+        _ if error.description.contains(NO_TERMINAL) => {
+            return format!("{path}: it is no serial port. {}", found());
         }
         _ => found(),
     };

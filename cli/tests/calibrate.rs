@@ -122,6 +122,10 @@ fn what_cannot_be_used_is_refused_with_its_reason() {
     assert!(empty.contains("too few to find a rest in"), "{empty}");
     let other = calibrate("other", "a,b\n", &[]).unwrap_err();
     assert!(other.contains("the header is"), "{other}");
+    let header = "time,ax,ay,az,gx,gy,gz\n";
+    let renamed = calibrate("renamed", header, &[]).unwrap_err();
+    let cause = ":1: t_us is missing; rename the column, or add it: the header is";
+    assert!(renamed.contains(cause), "{renamed}");
 }
 
 #[test]

@@ -298,7 +298,14 @@ fn what_cannot_be_done_is_refused_with_what_to_do() {
             "there is no such port",
         ),
         (&["view"], "which port?"),
-        (&["view", "--virtual"], "needs a terminal"),
+        (
+            &["record", "--port", "/dev/null", "--output", "x"],
+            "/dev/null: it is no serial port. ",
+        ),
+        (
+            &["view", "--virtual"],
+            "needs a terminal; `cargo xtask fly`",
+        ),
         (
             &["view", name, "--picture", "x.png"],
             "there is no attitude in it",

@@ -70,7 +70,7 @@ impl Order {
 pub(crate) fn difference(header: &str) -> String {
     let is_log = |header: &str| Order::of(header).is_some();
     if header.contains('\r') {
-        return ": the lines end with carriage returns alone; save the file with line feeds".into();
+        return "the lines end with carriage returns alone; save the file with line feeds".into();
     }
     for (separator, name) in [(';', "semicolons"), ('\t', "tabs"), (' ', "spaces")] {
         if header.contains(separator) && is_log(&header.replace(separator, ",")) {
@@ -79,26 +79,26 @@ pub(crate) fn difference(header: &str) -> String {
             } else {
                 ""
             };
-            return format!(": {name} separate it; save the file with commas{decimals}");
+            return format!("{name} separate the columns; save the file with commas{decimals}");
         }
     }
     if is_log(&header.replace('"', "")) {
-        return ": the names are in quotes; remove the quotes".into();
+        return "the names are in quotes; remove the quotes".into();
     }
     if is_log(&header.to_lowercase()) {
-        return ": write the names in lower case".into();
+        return "write the names in lower case".into();
     }
     let names: Vec<&str> = header.split(',').map(str::trim).collect();
     if names.len() >= SENSOR_COLUMNS && names.iter().all(|name| is_number(name)) {
-        return ": this is a row of numbers; add the header as the first line".into();
+        return "this is a row of numbers; add the header as the first line".into();
     }
     let known = || COLUMNS.iter().chain(&COMPASS).chain(&ARMED);
     let count = |name: &str| names.iter().filter(|own| **own == name).count();
     if let Some(name) = known().find(|name| count(name) > 1) {
-        return format!(": {name} is there twice");
+        return format!("{name} is there twice");
     }
     if count("mov") > 0 && count("qw") == 0 {
-        return ": mov needs a truth, qw,qx,qy,qz; remove the column, or add these".into();
+        return "mov needs a truth, qw,qx,qy,qz; remove the column, or add these".into();
     }
     let missing = |group: &[&'static str]| group.iter().copied().find(|name| count(name) == 0);
     let (sensor, truth) = COLUMNS.split_at(SENSOR_COLUMNS);
@@ -109,7 +109,7 @@ pub(crate) fn difference(header: &str) -> String {
         (1..group.len()).contains(&found)
     });
     match some.next().and_then(|group| missing(group)) {
-        Some(name) => format!(": {name} is missing; rename the column, or add it"),
+        Some(name) => format!("{name} is missing; rename the column, or add it"),
         None => String::new(),
     }
 }

@@ -103,9 +103,9 @@ pub enum LogFault {
     },
     /// The header is not that of a log.
     #[error(
-        "the header is \"{}\", but must be \
-         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]{}",
-        quote(.0), difference(.0)
+        "{}the header is \"{}\", but must be \
+         t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]",
+        cause(.0), quote(.0)
     )]
     Header(String),
     /// The comment states no knowledge of the accelerometer.
@@ -279,6 +279,15 @@ impl LogFault {
             | Self::Moving(_)
             | Self::Armed(_) => true,
         }
+    }
+}
+
+/// Returns the cause why a header is not that of a log, with a colon; empty if none is certain.
+fn cause(header: &str) -> String {
+    let difference = difference(header);
+    match difference.is_empty() {
+        true => difference,
+        false => format!("{difference}: "),
     }
 }
 

@@ -71,7 +71,7 @@ impl OutputFile {
         };
         let file = BufWriter::with_capacity(256 * 1024, file);
         let sink = match path.extension() {
-            Some(extension) if extension == "gz" => {
+            Some(extension) if extension.eq_ignore_ascii_case("gz") => {
                 Sink::Zipped(Box::new(GzEncoder::new(file, Compression::default())))
             }
             _ => Sink::Plain(file),

@@ -149,9 +149,12 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         return Err(format!("{}\n{hint}", which_port()).into());
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
-        let instead = match &options.file {
-            Some(_) => "`--picture FILE.png` draws its screen of a recording",
-            None => "`aplomb record` writes what comes to a file",
+        let instead = if options.file.is_some() {
+            "`--picture FILE.png` draws its screen of a recording"
+        } else if options.virtual_board {
+            "`cargo xtask fly` flies the virtual board without one, and writes files"
+        } else {
+            "`aplomb record` writes what comes to a file"
         };
         return Err(format!("`view` needs a terminal; {instead}").into());
     }
