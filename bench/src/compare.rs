@@ -27,10 +27,10 @@ use crate::{
 
 /// Compare the accuracy and the speed of filters on recordings
 ///
-/// Every log below DIR counts, plain or gzipped; its folder is its set. One with truth is scored by
-/// it, one without is checked where it rests; one with a compass is scored by its heading. What
-/// cannot be scored is named with the reason. If no DIR is named and there are no recordings,
-/// simulated flights take their place.
+/// Every recording below DIR counts, plain or gzipped; its folder is its set. One with truth is
+/// scored by it, one without is checked where it rests; one with a compass is scored by its
+/// heading. What cannot be scored is named with the reason. If no DIR is named and there are no
+/// recordings, simulated flights take their place.
 #[derive(clap::Parser)]
 #[command(version, name = "aplomb-bench")]
 #[command(after_help = "Examples:

@@ -118,7 +118,7 @@ impl Recording {
             return unusable("bursts have no truth: `aplomb replay` takes them");
         }
         let Some(columns) = LogColumns::of(&header) else {
-            return unusable("it is no log: it does not begin with t_us,ax,ay,az,gx,gy,gz");
+            return unusable("it is no recording: it does not begin with t_us,ax,ay,az,gx,gy,gz");
         };
         let mut recording = Self {
             set: name_of(path.parent()),

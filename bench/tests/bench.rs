@@ -152,7 +152,7 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     assert!(result.status.success(), "{errors}");
     let reasons = [
         ("wrong/notes.txt", "no .csv"),
-        ("wrong/other.csv", "it is no log"),
+        ("wrong/other.csv", "it is no recording"),
         ("unknown/turning.csv", "does not lie still"),
         ("uncounted/resting.csv", "--counts SET=G,DPS"),
         (
@@ -224,7 +224,7 @@ fn what_cannot_be_scored_ends_nothing_but_is_no_flight_either() {
     // Whoever names something does not ask for simulated flights.
     let other = file("bench-none", "other.csv", "a,b\n1,2\n");
     for (named, reason) in [
-        (other.as_path(), "it is no log"),
+        (other.as_path(), "it is no recording"),
         (&bad, "2 columns"),
         (&path("bench-nothing", ""), "no recording in it"),
     ] {

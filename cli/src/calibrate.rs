@@ -54,10 +54,10 @@ const LEAST_SLOW_POSES: usize = 24;
 /// Find the calibration of accelerometer, gyroscope and compass in a recording that shows the
 /// sensor from many sides.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with --raw)
-/// or a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two seconds; a
-/// dozen poses, edges included, show the cross-axis terms too. The turns between them then show the
-/// scale and the cross-axis terms of the gyroscope.
+/// INPUT is a recording (t_us,ax,ay,az,gx,gy,gz[,…]; microseconds, m/s², rad/s, or counts with
+/// --raw) or a bursts.csv, plain or gzipped. Lay the sensor on each of its six sides for two
+/// seconds; a dozen poses, edges included, show the cross-axis terms too. The turns between them
+/// then show the scale and the cross-axis terms of the gyroscope.
 ///
 /// With the columns mx,my,mz (µT) the compass is calibrated too: turn the sensor slowly to and fro
 /// about all axes for 30 s, each side down once, away from iron. One fit with the filter's

@@ -1,4 +1,4 @@
-//! `aplomb convert`: flight logs, bursts and CSV logs into each other, burst by burst.
+//! `aplomb convert`: flight logs, bursts and recordings into each other, burst by burst.
 
 mod writers;
 
@@ -29,23 +29,23 @@ use writers::{Target, write_bursts, write_csv, write_log};
 
 /// Convert a recording into another form.
 ///
-/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a log in SI
-/// units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
-/// bursts, any other *.csv a log in SI units and the sensor's axes, as `replay` reads it, with
-/// mx,my,mz in µT if a flight log has readings of a compass; they are corrected. All three forms
-/// keep the armed state. A log in SI units becomes counts at 16 g and 2000 degrees per second,
-/// rounded; its truth is left out.
-/// Bursts and CSV logs have no place for a flight log's mount and calibration, and bursts none for
-/// its ranges: the output names the options to replay them with.
+/// INPUT is a flight log (what the module sends with `format log`), a bursts.csv or a recording in
+/// SI units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
+/// bursts, any other *.csv a recording in SI units and the sensor's axes, as `replay` reads it,
+/// with mx,my,mz in µT if a flight log has readings of a compass; they are corrected. All three
+/// forms keep the armed state. A recording in SI units becomes counts at 16 g and 2000 degrees per
+/// second, rounded; its truth is left out. Bursts and CSV recordings have no place for a flight
+/// log's mount and calibration, and bursts none for its ranges: the output names the options to
+/// replay them with.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
   aplomb convert recording.csv.gz recording.log
 
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
-clipped_values (of a log in SI units, beyond the ranges), left_out (what the output has no place
-for: temperature, flags, truth, compass), armed_unknown (true if a flight log's armed state cannot
-be read), readings (of a compass, if any were written).")]
+clipped_values (of a recording in SI units, beyond the ranges), left_out (what the output has no
+place for: temperature, flags, truth, compass), armed_unknown (true if a flight log's armed state
+cannot be read), readings (of a compass, if any were written).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -92,7 +92,7 @@ impl Kind {
         match self {
             Self::FlightLog => "a flight log",
             Self::Bursts => "a table of bursts",
-            Self::Csv => "a log in SI units",
+            Self::Csv => "a recording in SI units",
         }
     }
 
@@ -485,7 +485,7 @@ fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
     }))
 }
 
-/// Returns the next row of a log as a burst. Updates the armed state before.
+/// Returns the next row of a recording as a burst. Updates the armed state before.
 fn next_row(rows: &mut Rows, is_armed: &mut bool) -> Result<Option<Recorded>, Box<dyn Error>> {
     let Some(row) = rows.next_row()? else {
         return Ok(None);

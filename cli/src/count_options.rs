@@ -7,7 +7,7 @@ use aplomb_recordings::units::RowOptions;
 /// Options that give register counts their meaning.
 #[derive(clap::Args)]
 pub struct CountOptions {
-    /// The log's values are register counts of a sensor with these ranges
+    /// The recording's values are register counts of a sensor with these ranges
     #[arg(long, requires_all = ["accel_range", "gyro_range"])]
     pub raw: bool,
     /// Accelerometer range of counts in g: 2, 4, 8 or 16 (bursts: 16 by default)
@@ -26,17 +26,17 @@ impl CountOptions {
         let has_row_options = rows.given().iter().any(|(_, is_given)| *is_given);
         let has_ranges = self.accel_range.is_some() || self.gyro_range.is_some();
         match form {
-            Form::Bursts if self.raw => Err("--raw is for logs: bursts are raw in any case"),
+            Form::Bursts if self.raw => Err("--raw is for recordings: bursts are raw in any case"),
             Form::Bursts if has_row_options => Err(
-                "--time-unit, --force-unit, --rate-unit, --field-unit and --bad-rows are for logs, \
-                     not for bursts",
+                "--time-unit, --force-unit, --rate-unit, --field-unit and --bad-rows are for \
+                 recordings, not for bursts",
             ),
             Form::Log(_) if self.raw && has_units => {
                 Err("--raw gives the values their units: leave out --force-unit and --rate-unit")
             }
             Form::Log(_) if has_ranges && !self.raw => {
                 Err("--accel-range and --gyro-range give counts their meaning: \
-                 add --raw, if the log holds counts")
+                 add --raw, if the recording holds counts")
             }
             _ => Ok(()),
         }

@@ -27,11 +27,11 @@ use truth::{Table, TruthFile};
 /// Draw a recording, or the attitudes that came of one.
 ///
 /// INPUT is an attitude.csv (of `replay`, or of `cargo xtask fly`), or whatever `replay` reads: a
-/// log, a bursts.csv or a flight log, which goes through the filter first. The picture shows roll,
-/// pitch, yaw and rates; where there is truth, the inclination error and the filter's 3 sigma (the
-/// figure is over rows with mov 1 after 5 s, as in `replay`); which flags were set when, and when
-/// the attitude was not valid; and of a recording the spectrum of the specific force, with the peak
-/// of the vibration.
+/// recording, a bursts.csv or a flight log, which goes through the filter first. The picture shows
+/// roll, pitch, yaw and rates; where there is truth, the inclination error and the filter's 3 sigma
+/// (the figure is over rows with mov 1 after 5 s, as in `replay`); which flags were set when, and
+/// when the attitude was not valid; and of a recording the spectrum of the specific force, with the
+/// peak of the vibration.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb plot flight.log --output flight.png
@@ -40,8 +40,8 @@ use truth::{Table, TruthFile};
 pub struct Options {
     #[command(flatten)]
     reading: ReadOptions,
-    /// A file with the true attitudes at the same times: the truth.csv of a flight, or a log with
-    /// truth
+    /// A file with the true attitudes at the same times: the truth.csv of a flight, or a
+    /// recording with truth
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// The picture, by its name a PNG or an SVG file

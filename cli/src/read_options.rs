@@ -31,7 +31,7 @@ pub struct ReadOptions {
     /// Body's forward and down axes in sensor axes, for example +x-z [default: z-up]
     #[arg(long, allow_hyphen_values = true)]
     mount: Option<Mount>,
-    /// Delay of the samples, in microseconds: attitudes are extrapolated by it (logs: 0 by
+    /// Delay of the samples, in microseconds: attitudes are extrapolated by it (SI units: 0 by
     /// default; bursts: the delay of the sensor's low-pass filter)
     #[arg(
         long,
@@ -98,7 +98,7 @@ fn armed_from(text: &str) -> Result<f64, &'static str> {
 /// Kind of input, as far as it decides on options.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// A log or bursts.
+    /// A recording in SI units or counts, or bursts.
     Recording,
     /// A flight log.
     FlightLog,
@@ -178,7 +178,7 @@ impl ReadOptions {
         ))
     }
 
-    /// Opens a log or bursts. The header is the next line.
+    /// Opens a recording or bursts. The header is the next line.
     pub fn open(&self, mut lines: Lines) -> Result<Box<dyn Source>, Box<dyn Error>> {
         self.check(Kind::Recording)?;
         let form = Form::read(&mut lines)?;
@@ -232,7 +232,7 @@ impl ReadOptions {
             }
             Form::Log(_) => {
                 is_given |= self.rows.field_unit.is_some();
-                "the log has no compass: its header lacks mx,my,mz"
+                "the recording has no compass: its header lacks mx,my,mz"
             }
             Form::Bursts => "bursts have no compass",
         };
@@ -246,7 +246,7 @@ impl ReadOptions {
         Ok(())
     }
 
-    /// Refuses `--armed-from` where the log has the state, or the filter has none.
+    /// Refuses `--armed-from` where the recording has the state, or the filter has none.
     fn check_armed(&self, form: Form) -> Result<(), String> {
         let reason = match form {
             _ if self.armed_from.is_none() => return Ok(()),

@@ -269,10 +269,10 @@ impl Recorder<'_> {
                 .map_err(|error| cannot_write(&self.options.output, &error))?;
         }
         match &self.log {
-            Some(log) if !log.has_run => Err("it was ended before the log had begun".into()),
+            Some(log) if !log.has_run => Err("it was ended before the flight log had begun".into()),
             Some(log) if log.stage != Stage::Runs => {
                 let reason = log.trouble.as_deref().unwrap_or("there was no time for it");
-                Err(format!("the log did not go on in the end: {reason}"))
+                Err(format!("the flight log did not go on in the end: {reason}"))
             }
             _ => Ok(()),
         }
@@ -287,7 +287,7 @@ impl Recorder<'_> {
                 self.is_away = true;
                 eprintln!("\nthe port is gone ({reason}): waiting for it");
                 if self.log.as_ref().is_some_and(|log| !log.has_run) {
-                    return Err("the port was gone before the log had begun".into());
+                    return Err("the port was gone before the flight log had begun".into());
                 }
                 self.listen();
             }
@@ -407,7 +407,7 @@ impl Recorder<'_> {
             (log.heard, log.unread) = (Instant::now(), 0);
             log.trouble = None;
             if std::mem::replace(&mut log.has_run, true) {
-                eprintln!("the log goes on");
+                eprintln!("the flight log goes on");
             } else {
                 self.started = Instant::now();
             }
@@ -429,7 +429,7 @@ impl Recorder<'_> {
         match &mut self.log {
             Some(log) if log.has_run => {
                 if log.trouble.replace(reason.clone()).is_none() {
-                    eprintln!("the log does not go on yet ({reason}): trying again");
+                    eprintln!("the flight log does not go on yet ({reason}): trying again");
                 }
                 self.listen();
                 Ok(())
@@ -460,7 +460,7 @@ impl Recorder<'_> {
                 Ok(())
             }
             Stage::Runs if log.heard.elapsed() >= LOG_PATIENCE && log.unread >= UNREAD => {
-                eprintln!("what comes cannot be read any more: asking for the log again");
+                eprintln!("what comes cannot be read any more: asking for the flight log again");
                 self.decoder.interrupt();
                 self.listen();
                 Ok(())

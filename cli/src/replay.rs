@@ -37,14 +37,14 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
 
 /// Run a recording through a filter: one attitude for each row.
 ///
-/// INPUT is a log (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]; microseconds,
-/// m/s², rad/s, µT; truth sensor to earth with x east, y north, z up; armed is 1 or 0 from its
-/// row on, empty where it stays), a bursts.csv (t_us,bytes,flags, with ARMED among the flags) or a
-/// flight log (what the module sends with `format log`), plain or gzipped; - is standard input, for
-/// all but flight logs. A flight log brings its own settings, and its attitudes are compared with
-/// those of the flight: of the options for reading it takes --filter and --flight alone. With
-/// truth in it, the inclination error is printed, over the rows with mov 1 after 5 s; with a
-/// compass in it also the heading error.
+/// INPUT is a recording (t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed];
+/// microseconds, m/s², rad/s, µT; truth sensor to earth with x east, y north, z up; armed is 1 or
+/// 0 from its row on, empty where it stays), a bursts.csv (t_us,bytes,flags, with ARMED among the
+/// flags) or a flight log (what the module sends with `format log`), plain or gzipped; - is
+/// standard input, for all but flight logs. A flight log brings its own settings, and its attitudes
+/// are compared with those of the flight: of the options for reading it takes --filter and --flight
+/// alone. With truth in it, the inclination error is printed, over the rows with mov 1 after 5 s;
+/// with a compass in it also the heading error.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb replay recording.csv.gz --output attitude.csv
@@ -171,7 +171,7 @@ impl Summary {
             return Ok(());
         };
         print_line(&format!(
-            "log: {} bursts lost, {} damaged pieces ({} bytes) skipped",
+            "flight log: {} bursts lost, {} damaged pieces ({} bytes) skipped",
             log.bursts_lost, log.damaged_pieces, log.damaged_bytes
         ));
         print_line(&format!(
@@ -200,8 +200,8 @@ impl Summary {
     }
 }
 
-/// Replays every flight of a log, or the chosen one. A difference from a logged attitude is an
-/// error.
+/// Replays every flight of a flight log, or the chosen one. A difference from a logged attitude is
+/// an error.
 fn run_flight_log(options: &Options) -> Result<(), Box<dyn Error>> {
     let reading = &options.reading;
     let log = flight_log::read(&reading.input)?;

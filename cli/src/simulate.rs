@@ -62,15 +62,15 @@ impl Kind {
 /// Write a simulated motion with its truth as a recording.
 ///
 /// The sensor has the errors of a typical one: noise, a gyroscope offset of 4 degrees per second,
-/// and scales and an accelerometer offset that are not calibrated, or as --accelerometer states.
-/// It lies face up, X forward. One seed is one motion, to the last bit. The log has 1000 rows a
+/// and scales and an accelerometer offset that are not calibrated, or as --accelerometer states. It
+/// lies face up, X forward. One seed is one motion, to the last bit. The recording has 1000 rows a
 /// second (t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov; microseconds, m/s², rad/s; truth sensor to
 /// earth with z up; mov 1 where rows count), as `replay`, `plot`, `aplomb-bench` and `cargo xtask
 /// fly --log` read it. Its first line, such as `# --accelerometer factory`, states the knowledge
 /// for them. Samples are 1900 microseconds late, as a real sensor's are: give `replay` and `plot`
 /// --sensor-delay-us 1900.
 ///
-/// With --compass the log has the columns mx,my,mz too (µT, empty where there is no new reading;
+/// With --compass it also has the columns mx,my,mz (µT, empty where there is no new reading;
 /// 100 readings a second). The field is the earth's, with hard and soft iron, the motors'
 /// currents, noise and lag. Magnetic north is the truth's y.
 #[derive(clap::Args)]
@@ -116,7 +116,7 @@ pub struct Options {
         value_parser = clap::value_parser!(u64).range(..=86_400)
     )]
     magnet: Option<u64>,
-    /// The log to write; zipped if its name ends with .gz
+    /// The recording to write; zipped if its name ends with .gz
     #[arg(long, value_name = "OUT.csv[.gz]")]
     output: PathBuf,
 }
@@ -169,7 +169,7 @@ fn describe(magnetism: &Magnetism) -> String {
     )
 }
 
-/// Writes the log.
+/// Writes the recording.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(closest_s) = options.magnet.filter(|at_s| *at_s > options.seconds) {
         return Err(format!(

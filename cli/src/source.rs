@@ -1,4 +1,4 @@
-//! Sources of attitudes: the rows of a log, bursts, or a flight of a flight log, through a
+//! Sources of attitudes: the rows of a recording, bursts, or a flight of a flight log, through a
 //! pipeline.
 
 use std::collections::VecDeque;
@@ -102,10 +102,10 @@ pub trait Source {
     }
 }
 
-/// Options of a log.
+/// Options of a recording.
 #[derive(Clone, Copy)]
 pub struct LogOptions {
-    /// Columns of the log.
+    /// Columns of the recording.
     pub columns: LogColumns,
     /// Filter to run.
     pub filter: FilterName,
@@ -113,11 +113,11 @@ pub struct LogOptions {
     pub mount: Mount,
     /// Delay of the samples, µs.
     pub delay_us: u32,
-    /// Ranges of the register counts, if the log holds counts.
+    /// Ranges of the register counts, if the recording holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
     /// Knowledge of accelerometer and gyroscope; `None` for the default of the kind.
     pub accelerometer: Option<AccelerometerKnowledge>,
-    /// Compass, if the log has its columns.
+    /// Compass, if the recording has its columns.
     pub compass: CompassOptions,
     /// Armed state, where the rows have none.
     pub arming: Arming,
@@ -125,7 +125,7 @@ pub struct LogOptions {
     pub rows: RowOptions,
 }
 
-/// Options of a log's compass.
+/// Options of a recording's compass.
 #[derive(Clone, Copy, Default)]
 pub struct CompassOptions {
     /// Knowledge of its hard iron.
@@ -136,7 +136,7 @@ pub struct CompassOptions {
     pub declination_rad: f32,
 }
 
-/// Rows of a log through the pipeline, as samples in SI units.
+/// Rows of a recording through the pipeline, as samples in SI units.
 pub struct LogSource {
     rows: Rows,
     options: LogOptions,
@@ -148,7 +148,7 @@ pub struct LogSource {
     has_warned: bool,
 }
 
-/// Row of a log.
+/// Row of a recording.
 struct LogRow {
     t_us: i64,
     /// In body axes.
@@ -161,8 +161,8 @@ struct LogRow {
 }
 
 impl LogSource {
-    /// Starts a log after its header. The first rows show the usual time between rows: a longer
-    /// one is a pause.
+    /// Starts a recording after its header. The first rows show the usual time between rows: a
+    /// longer one is a pause.
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(options.delay_us);

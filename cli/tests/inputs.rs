@@ -309,7 +309,10 @@ fn every_reader_names_the_unit_of_a_field_and_takes_the_option() {
     assert!(warning.contains("--field-unit mG"), "{warning}");
     let input = file("field", "none.csv", turned(1.0, 1.0, 1.0));
     let message = refusal("replay", &input, &["--field-unit".into(), "G".into()]);
-    assert!(message.contains("the log has no compass"), "{message}");
+    assert!(
+        message.contains("the recording has no compass"),
+        "{message}"
+    );
 }
 
 /// Times since 1970 do not fit into a flight log.

@@ -331,7 +331,7 @@ fn a_form_is_not_converted_into_itself() {
     for (input, output, form) in [
         (&log, "other.log", "a flight log"),
         (&bursts, "b-bursts.csv", "a table of bursts"),
-        (&csv, "other.csv", "a log in SI units"),
+        (&csv, "other.csv", "a recording in SI units"),
     ] {
         let output = path("same", output);
         let _ = std::fs::remove_file(&output);

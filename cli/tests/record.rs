@@ -205,7 +205,11 @@ fn a_log_goes_on_after_a_replug_with_and_without_a_loss_of_power() {
             .expect("it is there")
             .starts_with(&expected[..expected.len() - 600])
     );
-    assert_eq!(errors.matches("the log goes on").count(), 3, "{errors}");
+    assert_eq!(
+        errors.matches("the flight log goes on").count(),
+        3,
+        "{errors}"
+    );
 }
 
 #[test]
@@ -225,7 +229,7 @@ fn a_log_that_does_not_go_on_is_an_error_and_tried_for_until_the_end() {
     let errors = errors(&result);
     assert!(
         errors.contains(
-            "the log did not go on in the end: the module does not answer at 115200 baud"
+            "the flight log did not go on in the end: the module does not answer at 115200 baud"
         ),
         "{errors}"
     );

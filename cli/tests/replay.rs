@@ -884,7 +884,7 @@ fn options_that_do_not_go_together_are_refused() {
         (
             &bursts,
             vec!["--raw", "--accel-range", "8", "--gyro-range", "250"],
-            "for logs",
+            "for recordings",
         ),
     ] {
         let mut arguments = vec!["replay", input.to_str().unwrap()];

@@ -10,7 +10,7 @@ use crate::quote::quote;
 /// Bytes of the longest line. A row of the widest table has about 1,000.
 pub const LONGEST_LINE: usize = 16 * 1024;
 
-/// Error of a log: the reason and the place.
+/// Error of a recording: the reason and the place.
 #[derive(Debug)]
 pub struct LogError {
     /// File.
@@ -54,7 +54,7 @@ impl fmt::Display for UnitGuess {
     }
 }
 
-/// Faults of a log.
+/// Faults of a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum LogFault {
     /// The file cannot be opened.
@@ -101,7 +101,7 @@ pub enum LogFault {
         /// True for standard input.
         is_stream: bool,
     },
-    /// The header is not that of a log.
+    /// The header is not that of a recording.
     #[error(
         "{}the header is \"{}\", but must be \
          t_us,ax,ay,az,gx,gy,gz[,mx,my,mz][,qw,qx,qy,qz[,mov]][,armed]",
@@ -232,7 +232,7 @@ pub enum LogFault {
     #[error("armed is \"{}\", but must be 0 or 1, or empty where it stays as it is", quote(.0))]
     Armed(String),
     /// Motion needs two points in time.
-    #[error("the log has fewer than two rows")]
+    #[error("the recording has fewer than two rows")]
     TooShort,
 }
 
@@ -282,7 +282,8 @@ impl LogFault {
     }
 }
 
-/// Returns the cause why a header is not that of a log, with a colon; empty if none is certain.
+/// Returns the cause why a header is not that of a recording, with a colon; empty if none is
+/// certain.
 fn cause(header: &str) -> String {
     let difference = difference(header);
     match difference.is_empty() {

@@ -1,5 +1,5 @@
-//! Units of a log's columns, and how rows that no sensor gave are treated: the options of every
-//! program that reads logs.
+//! Units of a recording's columns, and how rows that no sensor gave are treated: the options of
+//! every program that reads recordings.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,25 +9,25 @@ use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 
 use crate::row::Row;
 
-/// Options for reading a log. Nothing given: µs, m/s², rad/s and µT, guarded against other
+/// Options for reading a recording. Nothing given: µs, m/s², rad/s and µT, guarded against other
 /// units, and a bad row is an error.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "options", derive(clap::Args))]
 pub struct RowOptions {
-    /// The log's times are in this unit: us, ms, s or ns [default: us]
+    /// The recording's times are in this unit: us, ms, s or ns [default: us]
     #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
     pub time_unit: Option<TimeUnit>,
-    /// The log's specific force is in this unit: m/s2, g or mg [default: m/s2]
+    /// The recording's specific force is in this unit: m/s2, g or mg [default: m/s2]
     #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
     pub force_unit: Option<ForceUnit>,
-    /// The log's rates are in this unit: rad/s, deg/s or mdeg/s [default: rad/s]
+    /// The recording's rates are in this unit: rad/s, deg/s or mdeg/s [default: rad/s]
     #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
     pub rate_unit: Option<RateUnit>,
-    /// The log's magnetic field is in this unit: uT, mG, G, nT, T, or norm for length 1, which is
-    /// taken as 50 uT [default: uT]
+    /// The recording's magnetic field is in this unit: uT, mG, G, nT, T, or norm for length 1,
+    /// which is taken as 50 uT [default: uT]
     #[cfg_attr(feature = "options", arg(long, value_name = "UNIT"))]
     pub field_unit: Option<FieldUnit>,
-    /// Rows of the log that are damaged, or that no sensor gave (time that goes back, gaps of
+    /// Rows of the recording that are damaged, or that no sensor gave (time that goes back, gaps of
     /// more than an hour, NaN): refuse, skip, or keep those with numbers [default: refuse]
     #[cfg_attr(feature = "options", arg(long, value_name = "RULE"))]
     pub bad_rows: Option<BadRows>,

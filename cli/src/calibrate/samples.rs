@@ -45,7 +45,7 @@ pub fn read_rows(mut reader: Rows) -> Result<Vec<(u64, Row)>, Box<dyn Error>> {
     Ok(rows)
 }
 
-/// Returns the smallest ranges that hold a log's values.
+/// Returns the smallest ranges that hold a recording's values.
 pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
     let largest = |values: fn(&Row) -> [f64; 3]| {
         rows.iter()
@@ -60,7 +60,8 @@ pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
         .find(|range| fits(g, range.counts_per_g()))
         .ok_or_else(|| {
             format!(
-                "{g:.0} g is more than any range of the sensor: if the log holds counts, add --raw"
+                "{g:.0} g is more than any range of the sensor: \
+                 if the recording holds counts, add --raw"
             )
         })?;
     let gyroscope_range = GyroscopeRange::ALL
@@ -69,7 +70,7 @@ pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
         .ok_or_else(|| {
             format!(
                 "{degrees_s:.0} °/s is more than any range of the sensor: \
-                 if the log holds counts, add --raw"
+                 if the recording holds counts, add --raw"
             )
         })?;
     Ok(Config::DEFAULT

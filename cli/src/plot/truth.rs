@@ -81,7 +81,7 @@ pub struct TruthFile {
 }
 
 impl TruthFile {
-    /// Opens a table of attitudes, or a log with truth of a sensor with this mount.
+    /// Opens a table of attitudes, or a recording with truth of a sensor with this mount.
     pub fn open(path: &Path, mount: Mount) -> Result<Self, Box<dyn Error>> {
         let mount = modelled(mount)?;
         let mut lines = progress::lines(path)?;
