@@ -13,8 +13,12 @@ use crate::calibration::{
 };
 use crate::units::degrees;
 
-/// Number of repeated poses in a row that end an accelerometer calibration with all six sides.
-const REPEATS_TO_FINISH: u8 = 5;
+/// Duration of the stationary mean of a pose, s.
+const POSE_S: u8 = 1;
+/// Time at rest that ends an accelerometer calibration with all six sides, s.
+const REST_TO_FINISH_S: u8 = 5;
+/// Number of repeated poses in a row that this rest gives.
+const REPEATS_TO_FINISH: u8 = REST_TO_FINISH_S / POSE_S;
 
 /// Running procedure.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,7 +109,7 @@ impl Procedure {
         match self.measurement {
             Measurement::Gyroscope => 4.0,
             Measurement::Level | Measurement::Temperature(_) => 2.0,
-            Measurement::Accelerometer { .. } | Measurement::Mount(_) => 1.0,
+            Measurement::Accelerometer { .. } | Measurement::Mount(_) => POSE_S as f32,
         }
     }
 
@@ -278,8 +282,8 @@ impl Procedure {
             Ok(accepted) if has_sides => Step::Answered(self.progress(
                 reply,
                 format_args!(
-                    "{}, all six sides are there; keep it still for 5 s more, or go on with: \
-                     {next}",
+                    "{}, all six sides are there; keep it still for {REST_TO_FINISH_S} s more, \
+                     or go on with: {next}",
                     AcceptedPoseText(accepted)
                 ),
             )),

@@ -410,12 +410,10 @@ impl Pipeline {
         self.kalman_mut().set_armed(is_armed);
     }
 
-    /// Creates a stationary detector for this sensor that needs `samples` at rest, or fewer if they
-    /// agree with the stored offset.
+    /// Creates a stationary detector for this sensor that needs `samples` at rest. A stored
+    /// offset does not shorten them, so that a repeated calibration is as exact as the first.
     pub fn stationary_detector(&self, samples: u16) -> StationaryDetector {
-        let stored = StoredOffset::at(&self.settings.calibration, self.temperature_celsius);
         StationaryDetector::new(&self.settings.noise_model(), samples)
-            .with_expected_offset(stored.offset_rad_s, stored.sigma_rad_s)
     }
 
     /// Returns the mean specific force at rest, m/s² in mounted axes: corrected and mounted, but

@@ -539,34 +539,41 @@ fn a_temperature_that_changes_widens_the_bias_unless_a_model_follows_it() {
 
 #[test]
 fn a_stationary_mean_is_collected_while_the_pipeline_runs() {
-    let mut pipeline = Pipeline::new(&settings());
-    let mut detector = pipeline.stationary_detector(500);
-    let mut done = None;
-    for index in 0..500_u64 {
-        let rate = Vector3::new(1.0, 2.0, 3.0);
-        let burst = burst(Mount::Z_UP, index * 1000, LEVEL, rate);
-        update(&mut pipeline, &burst);
-        let raw = RawSample::decode(&burst.bytes);
-        let reading = ImuReading {
-            gyroscope: raw.gyroscope.0,
-            accelerometer: raw.accelerometer.0,
-            temperature_celsius: pipeline.temperature_celsius(),
-        };
-        match detector.update(&reading) {
-            StationaryProgress::Done(at_rest) => done = Some((index, at_rest)),
-            progress => assert_eq!(progress, StationaryProgress::Collecting, "{index}"),
-        }
-    }
-    let (index, at_rest) = done.expect("it is stationary");
-    assert_eq!(index, 499);
-    let offset = at_rest.gyroscope_offset(&pipeline.settings().noise_model());
     let expected = Vector3::new(radians(1.0), radians(-2.0), radians(-3.0));
-    assert!(
-        (offset.offset_rad_s - expected).is_within(radians(0.04)),
-        "{offset:?}"
-    );
-    let force = pipeline.mounted_force_m_s2(&at_rest);
-    assert!((force - LEVEL).norm() < 0.01, "{force:?}");
+    for is_stored in [false, true] {
+        let mut settings = settings();
+        settings.calibration.gyroscope = is_stored.then_some(GyroscopeOffset {
+            offset_rad_s: expected,
+            temperature_celsius: 25.0,
+        });
+        let mut pipeline = Pipeline::new(&settings);
+        let mut detector = pipeline.stationary_detector(500);
+        let mut done = None;
+        for index in 0..500_u64 {
+            let rate = Vector3::new(1.0, 2.0, 3.0);
+            let burst = burst(Mount::Z_UP, index * 1000, LEVEL, rate);
+            update(&mut pipeline, &burst);
+            let raw = RawSample::decode(&burst.bytes);
+            let reading = ImuReading {
+                gyroscope: raw.gyroscope.0,
+                accelerometer: raw.accelerometer.0,
+                temperature_celsius: pipeline.temperature_celsius(),
+            };
+            match detector.update(&reading) {
+                StationaryProgress::Done(at_rest) => done = Some((index, at_rest)),
+                progress => assert_eq!(progress, StationaryProgress::Collecting, "{index}"),
+            }
+        }
+        let (index, at_rest) = done.expect("it is stationary");
+        assert_eq!(index, 499);
+        let offset = at_rest.gyroscope_offset(&pipeline.settings().noise_model());
+        assert!(
+            (offset.offset_rad_s - expected).is_within(radians(0.04)),
+            "{offset:?}"
+        );
+        let force = pipeline.mounted_force_m_s2(&at_rest);
+        assert!((force - LEVEL).norm() < 0.01, "{force:?}");
+    }
 }
 
 #[test]

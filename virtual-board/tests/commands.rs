@@ -390,6 +390,26 @@ fn the_halves_of_a_garbled_line_are_no_command() {
 
 /// A frozen sensor is no rest: it would give the pose from before.
 #[test]
+fn a_repeated_calibration_takes_as_long_as_the_first() {
+    let outcome = fly(Run::new(firmware())
+        .seconds(14.0)
+        .motion(Rest::level())
+        .command(1.0, "calibrate gyro")
+        .command(6.0, "calibrate gyro")
+        .command(11.0, "calibrate level"));
+    let ends: Vec<f64> = answers(&outcome)
+        .iter()
+        .filter(|(_, answer)| answer.starts_with("done "))
+        .map(|(at_s, _)| *at_s)
+        .collect();
+    // Four seconds each, and two.
+    for (end, expected) in ends.iter().zip([5.0, 10.0, 13.0]) {
+        assert!((end - expected).abs() < 0.2, "{ends:?}");
+    }
+    assert_eq!(ends.len(), 3, "{ends:?}");
+}
+
+#[test]
 fn a_calibration_waits_while_the_sensor_is_frozen() {
     let (froze_s, thawed_s) = (3.0, 8.0);
     let schedule = format!("{froze_s} {} frozen", thawed_s - froze_s);
