@@ -105,10 +105,16 @@ impl GroundStation {
         self.session.answer(ticket, outcome);
     }
 
-    /// Discards received text and frames, and rejects the requests that no command has taken.
-    pub fn discard(&mut self) {
+    /// Discards text that was held back, and an incomplete frame. Call it while the format is not
+    /// MAVLink: the text is not to run later.
+    pub fn discard_text(&mut self) {
         self.text.clear();
         self.session.discard();
+    }
+
+    /// Discards received text and frames, and rejects the requests that no command has taken.
+    pub fn discard(&mut self) {
+        self.discard_text();
         while let Some((ticket, _)) = self.take_command() {
             self.session.answer(ticket, Outcome::NotNow);
         }

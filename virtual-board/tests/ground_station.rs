@@ -133,6 +133,31 @@ fn a_calibration_that_a_line_gives_up_is_cancelled() {
     assert_eq!(results(&run("status")), goes_on);
 }
 
+/// Text in a damaged frame that follows a change of the format is dropped, and does not run when the
+/// format is MAVLink again.
+#[test]
+fn text_behind_a_change_of_the_format_never_runs() {
+    let mut damaged = frame(COMMAND_LONG, b"\nformat text\nrate 20\narm\nrate 30\n");
+    if let Some(last) = damaged.last_mut() {
+        *last ^= 0xFF;
+    }
+    let outcome = Run::new(firmware())
+        .seconds(3.5)
+        .motion(Rest::level())
+        .command(1.0, "format mavlink")
+        .send(1.5, &damaged)
+        .command(2.5, "format mavlink")
+        .run()
+        .unwrap();
+    assert_eq!(
+        answers(&outcome)[1..],
+        [
+            "ok text, 50 a second; \"save\" keeps it",
+            "ok mavlink, 50 a second; \"save\" keeps it",
+        ]
+    );
+}
+
 /// A command confirms a new baud rate only if it was received at that rate.
 #[test]
 fn a_command_before_the_change_does_not_confirm_a_baud_rate() {

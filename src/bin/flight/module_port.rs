@@ -56,6 +56,7 @@ where
         if self.is_mavlink {
             station.receive(self.now_us, || receiver.receive())
         } else {
+            station.discard_text();
             receiver.receive()
         }
     }
