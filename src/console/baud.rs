@@ -1,10 +1,11 @@
-//! Change of the baud rate, reverted if no command arrives at the new one.
+//! Change of the baud rate, reverted if neither a command nor a frame arrives at the new one.
 
 use super::answer::{Kind, Reply};
 use super::line::LineAssembler;
 use super::module::Module;
 
-/// Time within which a command must arrive at the new baud rate, µs, or the old rate returns.
+/// Time within which a command or a frame must arrive at the new baud rate, µs, or the old rate
+/// returns.
 const BAUD_TRIAL_US: u32 = 10_000_000;
 
 /// State of a change of the baud rate.
@@ -14,9 +15,9 @@ pub(super) enum BaudChange {
     Steady,
     /// The rate changes as soon as the answer is sent.
     Requested(u32),
-    /// The rate has changed, and no command has arrived yet.
+    /// The rate has changed, and nothing has been understood yet.
     Trial { baud: u32, since_us: u32 },
-    /// No command has arrived in time: the old rate returns.
+    /// Nothing was understood in time: the old rate returns.
     Reverting { tried: u32 },
 }
 
@@ -36,7 +37,7 @@ impl BaudChange {
         matches!(self, Self::Requested(_) | Self::Reverting { .. })
     }
 
-    /// Ends a trial because a command has arrived, and returns the new baud rate.
+    /// Ends a trial because a command or a frame has arrived, and returns the new baud rate.
     pub(super) fn confirm(&mut self) -> Option<u32> {
         let Self::Trial { baud, .. } = *self else {
             return None;

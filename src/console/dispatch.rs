@@ -175,6 +175,13 @@ impl Console {
         self.dispatch(command, now_us, module, &mut Reply(output))
     }
 
+    /// Keeps a new baud rate, because the other end was understood at it.
+    pub fn confirm_baud(&mut self) {
+        if let Some(baud) = self.baud.confirm() {
+            self.working.preferences.baud = baud;
+        }
+    }
+
     /// Runs a command unless it is refused.
     fn dispatch(
         &mut self,
@@ -183,9 +190,7 @@ impl Console {
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
-        if let Some(baud) = self.baud.confirm() {
-            self.working.preferences.baud = baud;
-        }
+        self.confirm_baud();
         if let Some(refusal) = self.refusal(command, reply) {
             return refusal;
         }

@@ -231,6 +231,18 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_counts_once_and_only_with_its_checksum() {
+        let mut station = GroundStation::new();
+        let frame = command_long(MavCmd::MAV_CMD_PREFLIGHT_STORAGE, 1.0);
+        let mut damaged = frame.clone();
+        damaged[20] ^= 1;
+        for (bytes, counts) in [(damaged, false), (frame, true), (vec![], false)] {
+            receive(&mut station, &bytes);
+            assert_eq!(station.session.take_has_frame(), counts);
+        }
+    }
+
+    #[test]
     fn a_calibration_is_answered_when_it_begins_and_when_it_ends() {
         for (end, result) in [
             (Kind::Done, MavResult::MAV_RESULT_ACCEPTED),

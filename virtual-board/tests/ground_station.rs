@@ -9,6 +9,10 @@ use virtual_board::flight::{Outcome, Run};
 
 /// Message COMMAND_LONG, and the seed of its checksum.
 const COMMAND_LONG: (u8, u8) = (76, 152);
+/// Message HEARTBEAT, and the seed of its checksum.
+const HEARTBEAT: (u8, u8) = (0, 50);
+/// Message PARAM_SET, and the seed of its checksum.
+const PARAM_SET: (u8, u8) = (23, 168);
 /// Message COMMAND_ACK.
 const COMMAND_ACK: u8 = 77;
 /// MAV_CMD_PREFLIGHT_CALIBRATION.
@@ -156,6 +160,36 @@ fn text_behind_a_change_of_the_format_never_runs() {
             "ok mavlink, 50 a second; \"save\" keeps it",
         ]
     );
+}
+
+/// The heartbeats of a ground station confirm the baud rate that it has set.
+#[test]
+fn a_heartbeat_confirms_a_baud_rate() {
+    let mut set = [0; 23];
+    set[..4].copy_from_slice(&921_600.0_f32.to_le_bytes());
+    set[4] = 1;
+    set[6..14].copy_from_slice(b"OUT_BAUD");
+    set[22] = 9;
+    let run = |second: &[u8]| {
+        Run::new(firmware())
+            .seconds(13.0)
+            .motion(Rest::level())
+            .command(1.0, "format mavlink")
+            .send(
+                1.5,
+                &[frame(PARAM_SET, &set), frame(HEARTBEAT, &[6, 8])].concat(),
+            )
+            .send(3.0, second)
+            .run()
+            .unwrap()
+    };
+    let heartbeat = frame(HEARTBEAT, &[0, 0, 0, 0, 6, 8, 0, 4, 3]);
+    let heard = run(&heartbeat);
+    assert_eq!(answers(&heard)[2..], [""; 0]);
+    // The one before the change does not count, nor does noise.
+    let unheard = run(&heartbeat[1..]);
+    let reverted = "failed baud: nothing was understood at 921600, it is 115200 again";
+    assert_eq!(answers(&unheard)[2..], [reverted]);
 }
 
 /// A command confirms a new baud rate only if it was received at that rate.

@@ -131,6 +131,9 @@ impl Commands {
                 .answer(ticket, command, answered, console.is_busy());
             kind = Some(answered);
         }
+        if port.station.session.take_has_frame() {
+            console.confirm_baud();
+        }
         if !console.is_busy() && console.running().is_none() {
             port.station.cancel_pending();
         }

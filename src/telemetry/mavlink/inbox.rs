@@ -19,6 +19,8 @@ pub(super) struct Inbox {
     pub(super) actions: Deque<(Ticket, Action), 4>,
     pub(super) lists_parameters: bool,
     pub(super) dropped: u16,
+    /// True if a frame has arrived.
+    pub(super) has_frame: bool,
 }
 
 /// Answer that goes out as soon as there is room.
@@ -39,6 +41,7 @@ impl Inbox {
     /// Handles a frame.
     #[inline(never)]
     pub(super) fn take(&mut self, frame: &Received) {
+        self.has_frame = true;
         let payload = frame.payload();
         let version = MavlinkVersion::V2;
         let is_ours = |system: u8, component: u8| {

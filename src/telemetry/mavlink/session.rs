@@ -66,6 +66,7 @@ impl Session {
                 actions: Deque::new(),
                 lists_parameters: false,
                 dropped: 0,
+                has_frame: false,
             },
             sequence: 0,
             dropped: 0,
@@ -91,6 +92,11 @@ impl Session {
         let inbox = &mut self.inbox;
         self.receiver
             .poll(now_us, text, &mut |frame| inbox.take(frame));
+    }
+
+    /// Returns whether a frame with a valid checksum has arrived since the last call.
+    pub const fn take_has_frame(&mut self) -> bool {
+        core::mem::replace(&mut self.inbox.has_frame, false)
     }
 
     /// Returns the oldest queued action. Its ticket is for [`answer`](Self::answer).
