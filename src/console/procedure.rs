@@ -292,10 +292,7 @@ impl Procedure {
                 format_args!("{}, next: {next}", AcceptedPoseText(accepted)),
             )),
             Err(PoseError::Repeated { .. }) if has_sides && repeats >= REPEATS_TO_FINISH => {
-                Step::Ended(
-                    self.finish(calibration, mount, reply)
-                        .unwrap_or(Kind::Failed),
-                )
+                Step::Ended(self.finish(Kind::Failed, calibration, mount, reply))
             }
             Err(error) if has_moved => {
                 Step::Answered(self.progress(reply, format_args!("{error}; next: {next}")))
@@ -330,15 +327,15 @@ impl Procedure {
         }
     }
 
-    /// Ends the procedure with the data so far and returns [`Kind::Done`]. Writes an error and
-    /// returns `None` if they are not enough; the procedure then continues. A stored temperature
-    /// model stays beyond the measured range.
+    /// Puts the data so far in use and returns [`Kind::Done`]. Answers with `refused`, and returns
+    /// it, if they are not enough. A stored temperature model stays beyond the measured range.
     pub(super) fn finish(
         &mut self,
+        refused: Kind,
         calibration: &mut Calibration,
         mount: Mount,
         reply: &mut Reply<'_>,
-    ) -> Option<Kind> {
+    ) -> Kind {
         if let (Measurement::Temperature(learner), Some(stored)) =
             (&mut self.measurement, &calibration.temperature)
             && learner.fit().is_ok()
@@ -349,21 +346,20 @@ impl Procedure {
             Measurement::Accelerometer { poses, .. } => match poses.fit() {
                 Ok(fit) => {
                     calibration.set_accelerometer(fit.correction, mount);
-                    return Some(self.done(reply, format_args!("{fit}; \"save\" keeps it")));
+                    self.done(reply, format_args!("{fit}; \"save\" keeps it"))
                 }
-                Err(error) => self.write(reply, Kind::Error, format_args!("{error}")),
+                Err(error) => self.write(reply, refused, format_args!("{error}")),
             },
             Measurement::Temperature(learner) => match learner.fit() {
                 Ok(model) => {
                     calibration.temperature = Some(model);
                     let range = TemperatureProgress(learner);
-                    return Some(self.done(reply, format_args!("{range}; \"save\" keeps it")));
+                    self.done(reply, format_args!("{range}; \"save\" keeps it"))
                 }
-                Err(error) => self.write(reply, Kind::Error, format_args!("{error}")),
+                Err(error) => self.write(reply, refused, format_args!("{error}")),
             },
-            _ => self.write(reply, Kind::Error, format_args!("it ends by itself")),
-        };
-        None
+            _ => self.write(reply, refused, format_args!("it ends by itself")),
+        }
     }
 
     fn progress(&self, reply: &mut Reply<'_>, arguments: fmt::Arguments<'_>) -> Kind {

@@ -71,13 +71,11 @@ impl ProcedureRunner {
         let Some(procedure) = &mut self.current else {
             return reply.error(format_args!("calibrate done: nothing goes on"));
         };
-        match procedure.finish(calibration, mount, reply) {
-            Some(kind) => {
-                self.end(kind, calibration, module);
-                kind
-            }
-            None => Kind::Error,
+        let kind = procedure.finish(Kind::Error, calibration, mount, reply);
+        if kind == Kind::Done {
+            self.end(kind, calibration, module);
         }
+        kind
     }
 
     /// Continues the running procedure with the detector's progress. `now_us` may wrap.

@@ -726,6 +726,33 @@ fn six_poses_calibrate_the_accelerometer() {
 }
 
 #[test]
+fn poses_without_a_fit_end_in_a_failure() {
+    let mut harness = Harness::new();
+    harness.ask("calibrate accel");
+    // The x axis reads 15 % too much, which no part does.
+    let lay = |pose: Pose| {
+        let up = pose.up();
+        at_rest([0.0; 3], Vector3::new(1.15 * up.x, up.y, up.z))
+    };
+    for pose in Pose::GUIDE.into_iter().take(6) {
+        harness.detector([MOVED, lay(pose)]);
+        harness.wait(0.1);
+    }
+    harness.detector(vec![lay(Pose::GUIDE[5]); 5]);
+    let answers = harness.wait(0.5);
+    assert_eq!(answers.len(), 1, "{answers:?}");
+    assert!(
+        answers[0].starts_with("failed calibrate accel: "),
+        "{answers:?}"
+    );
+    assert_eq!(
+        harness.ask("calibrate stop"),
+        "ok calibrate stop: nothing went on"
+    );
+    assert_eq!(harness.working().calibration.accelerometer, None);
+}
+
+#[test]
 fn level_is_measured_with_the_calibration_in_use() {
     let mut harness = Harness::new();
     assert_eq!(
