@@ -563,6 +563,7 @@ impl Console {
             is_armed: self.is_armed,
             has_unsaved: self.has_unsaved(),
             lines_dropped: self.errors.dropped,
+            doing: self.running(),
             procedure: self.procedures.current(),
         };
         reply.ok(format_args!("status: {status}"))

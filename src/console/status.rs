@@ -25,7 +25,9 @@ pub(super) struct Status<'a> {
     pub(super) has_unsaved: bool,
     /// Lines dropped since start.
     pub(super) lines_dropped: u32,
-    /// Running procedure.
+    /// Name of the running procedure.
+    pub(super) doing: Option<&'static str>,
+    /// That procedure, if it takes stationary means.
     pub(super) procedure: Option<&'a Procedure>,
 }
 
@@ -56,7 +58,7 @@ impl fmt::Display for Status<'_> {
             state.reception_errors,
             self.lines_dropped,
             state.frames_dropped,
-            RunningProcedure(self.procedure),
+            RunningProcedure(self.doing, self.procedure),
         )
     }
 }
@@ -170,15 +172,15 @@ impl fmt::Display for CalibratedParts<'_> {
 }
 
 /// Running procedure, if there is one.
-struct RunningProcedure<'a>(Option<&'a Procedure>);
+struct RunningProcedure<'a>(Option<&'static str>, Option<&'a Procedure>);
 
 impl fmt::Display for RunningProcedure<'_> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Some(procedure) = self.0 else {
+        let Some(name) = self.0 else {
             return Ok(());
         };
-        write!(formatter, " doing=\"{}", procedure.name())?;
-        if let Some(detail) = procedure.detail() {
+        write!(formatter, " doing=\"{name}")?;
+        if let Some(detail) = self.1.and_then(Procedure::detail) {
             write!(formatter, ", {detail}")?;
         }
         formatter.write_str("\"")

@@ -1230,6 +1230,8 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
         harness.ask("save"),
         "error refused while \"calibrate compass\" goes on: \"calibrate stop\" ends it"
     );
+    let status = harness.ask("status");
+    assert!(status.ends_with(" doing=\"calibrate compass\""), "{status}");
     let waited = harness.wait(2.1);
     assert!(
         waited.contains(&"progress calibrate compass: 0 %, next: nose down".into()),
