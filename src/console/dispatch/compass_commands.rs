@@ -52,19 +52,20 @@ impl Console {
         module: &mut dyn Module,
         reply: &mut Reply<'_>,
     ) -> Kind {
-        let mut settings = self.working.compass;
-        match choice {
-            CompassChoice::Part(choice) => settings.choice = choice,
-            CompassChoice::Mount(mount) => settings.mount = Some(mount),
+        let imu_mount = self.mount();
+        let settings = &mut self.working.compass;
+        let is_other = match choice {
+            CompassChoice::Part(choice) => {
+                core::mem::replace(&mut settings.choice, choice) != choice
+            }
+            CompassChoice::Mount(mount) => {
+                settings.mount.replace(mount).unwrap_or(imu_mount) != mount
+            }
             CompassChoice::Keep => return self.keep_hard_iron(module, reply),
-        }
-        let before = self.working.compass;
-        if settings != before {
-            settings.correction = None;
-        }
-        self.working.compass = settings;
-        module.set_compass(&settings, self.mount());
-        let lost = if before.correction.is_some() && settings.correction.is_none() {
+        };
+        let has_lost = is_other && settings.correction.take().is_some();
+        module.set_compass(settings, imu_mount);
+        let lost = if has_lost {
             ", it is to be calibrated again"
         } else {
             ""

@@ -1377,6 +1377,10 @@ fn the_accelerometer_s_offset_of_the_filter_is_kept() {
 fn another_mount_discards_the_correction_of_the_compass() {
     for (line, own_mount, is_kept) in [
         ("compass +y-z", None, false),
+        ("compass +x-z", None, true),
+        ("compass +x-z", Mount::parse("+y-z"), false),
+        ("compass auto", None, true),
+        ("compass ak8963", None, false),
         ("mount +y-z", None, false),
         ("mount +x-z", None, true),
         ("mount +y-z", Mount::parse("+x-z"), false),
