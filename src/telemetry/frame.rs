@@ -118,11 +118,19 @@ pub const fn has_room_for_heading(format: OutputFormat, rate_hz: u32, baud: u32)
 /// Bits of a byte on the UART: 8 data bits, a start bit and a stop bit.
 const BITS_PER_BYTE: u32 = 10;
 
+/// Most attitudes per second in the flight log. At higher rates its other frames often take longer
+/// than the time between two attitudes, and the next attitude is dropped.
+const MAX_LOG_RATE_HZ: u32 = 250;
+
 /// Returns the most frames per second that the UART carries at a baud rate, with 8 data bits, one
 /// start bit and one stop bit. Returns 0 if the format does not fit at all.
 pub const fn largest_rate_hz(format: OutputFormat, baud: u32) -> u32 {
-    (baud / BITS_PER_BYTE).saturating_sub(other_bytes_per_second(format))
-        / frame_length(format) as u32
+    let rate_hz = (baud / BITS_PER_BYTE).saturating_sub(other_bytes_per_second(format))
+        / frame_length(format) as u32;
+    match format {
+        OutputFormat::Log if rate_hz > MAX_LOG_RATE_HZ => MAX_LOG_RATE_HZ,
+        _ => rate_hz,
+    }
 }
 
 #[cfg(test)]
@@ -174,7 +182,7 @@ mod tests {
         assert!(largest_rate_hz(OutputFormat::Classic, 921_600) > 1000);
         assert_eq!(largest_rate_hz(OutputFormat::Mavlink, 115_200), 70);
         assert_eq!(largest_rate_hz(OutputFormat::Log, 115_200), 0);
-        assert!(largest_rate_hz(OutputFormat::Log, 921_600) > 1000);
+        assert_eq!(largest_rate_hz(OutputFormat::Log, 921_600), 250);
     }
 
     /// The table in `docs/telemetry.md`.
@@ -197,7 +205,7 @@ mod tests {
                 ("teleplot", 120, 96, 768),
                 ("teapot", 14, 822, 1000),
                 ("mavlink", 159, 70, 577),
-                ("log", 48, 0, 1000),
+                ("log", 48, 0, 250),
             ]
         );
     }

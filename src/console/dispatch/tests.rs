@@ -936,6 +936,23 @@ fn warm_up(harness: &mut Harness, from_celsius: f32, rests: u8) {
 }
 
 #[test]
+fn the_flight_log_is_refused_at_a_rate_that_loses_attitudes() {
+    let mut harness = Harness::new();
+    harness.console.working.preferences.baud = 921_600;
+    harness.ask("rate 251");
+    assert_eq!(
+        harness.ask("format log"),
+        "error 251 lines of log a second are too many for 921600 baud: \"rate 250\" fits, \
+         or a higher baud rate"
+    );
+    harness.ask("rate 250");
+    assert_eq!(
+        harness.ask("format log"),
+        "ok log, 250 a second; \"save\" keeps it"
+    );
+}
+
+#[test]
 fn a_baud_rate_without_a_command_is_reverted() {
     let mut harness = Harness::new();
     let answer = harness.ask("baud 921600");
