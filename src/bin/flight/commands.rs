@@ -151,31 +151,35 @@ impl Commands {
         self.station.session.send_text(severity, line, output);
     }
 
-    /// Writes the MAVLink messages that are due.
+    /// Writes the MAVLink messages that are due, with the latest attitude if one `is_due`.
     pub fn put_messages(
         &mut self,
         mut estimation: impl Mutex<T = Estimation>,
-        latest: Option<&Latest>,
+        is_due: bool,
         now_us: u64,
         bursts_failed: u16,
         output: &mut Output<'_>,
     ) {
-        let (mut compass, mut heading) = (CompassStatus::default(), None);
+        let (mut compass, mut latest) = (CompassStatus::default(), None);
         let (sample, temperature_celsius) = estimation.lock(|estimation| {
             if compass::IS_BUILT_IN {
                 compass = estimation.compass.status();
-                heading = latest.and_then(|latest| latest.heading);
+            }
+            if is_due {
+                // Under the lock, so that attitude and sample are of one time.
+                latest = Latest::read();
             }
             let pipeline = estimation.pipeline.as_ref();
             pipeline.map_or((Sample::default(), 0.0), |pipeline| {
                 (*pipeline.sample(), pipeline.temperature_celsius())
             })
         });
+        let latest = latest.as_ref().map(|(latest, _)| latest);
         let vehicle = Vehicle {
             snapshot: latest.map(|latest| &latest.snapshot),
             sample: &sample,
             temperature_celsius,
-            heading,
+            heading: latest.and_then(|latest| latest.heading),
             compass,
             record: self.console.working(),
             is_armed: self.console.is_armed(),

@@ -12,7 +12,7 @@ use aplomb::telemetry::Output;
 use aplomb::telemetry::message::Severity;
 use rtic::Mutex;
 
-use crate::estimation::{Estimation, Latest};
+use crate::estimation::Estimation;
 use crate::requests::Requests;
 
 /// The stored record.
@@ -84,7 +84,7 @@ impl Commands {
     pub fn put_messages(
         &mut self,
         _: impl Mutex<T = Estimation>,
-        _: Option<&Latest>,
+        _: bool,
         _: u64,
         _: u16,
         _: &mut Output<'_>,

@@ -2,6 +2,8 @@
 //! it.
 
 use aplomb::board::compass::CompassReader;
+use aplomb::board::{attitude_task, heading};
+use aplomb::compass;
 use aplomb::estimator::heading::HeadingEstimate;
 use aplomb::pipeline::{Pipeline, Snapshot};
 
@@ -28,4 +30,18 @@ pub struct Latest {
     pub snapshot: Snapshot,
     /// Heading; `None` while it is unknown.
     pub heading: Option<HeadingEstimate>,
+}
+
+impl Latest {
+    /// Returns the latest attitude with its heading, and its number.
+    #[inline(never)]
+    pub fn read() -> Option<(Self, u32)> {
+        let (mut snapshot, number) = attitude_task::latest()?;
+        let mut heading = None;
+        if compass::IS_BUILT_IN {
+            heading = heading::latest();
+            snapshot.set_heading_valid(heading);
+        }
+        Some((Self { snapshot, heading }, number))
+    }
 }

@@ -4,7 +4,7 @@
 use core::sync::atomic::Ordering;
 
 use aplomb::board::uart::{Receiver, Transmitter};
-use aplomb::board::{attitude_task, heading, measure, retained};
+use aplomb::board::{measure, retained};
 use aplomb::calibration::compass::CompassFitter;
 use aplomb::calibration::{Calibration, Mount, StationaryProgress};
 use aplomb::compass;
@@ -17,7 +17,7 @@ use aplomb::telemetry::heading::Line as HeadingLine;
 use rtic::Mutex;
 
 use crate::after_publication::BURST_COUNT;
-use crate::estimation::Estimation;
+use crate::estimation::{Estimation, Latest};
 use crate::requests::{JOB, MEASUREMENT, NEW_MEASUREMENT, Requests, TO_SUPERVISOR};
 
 /// Port to the module, for one telemetry tick.
@@ -72,12 +72,8 @@ where
             frames_dropped: retained::counted(FaultClass::TelemetryLate),
             ..State::default()
         };
-        if let Some((mut snapshot, _)) = attitude_task::latest() {
-            if compass::IS_BUILT_IN {
-                let heading = heading::latest();
-                snapshot.set_heading_valid(heading);
-                state.heading = heading.map(|heading| HeadingLine::new(&snapshot, &heading));
-            }
+        if let Some((Latest { snapshot, heading }, _)) = Latest::read() {
+            state.heading = heading.map(|heading| HeadingLine::new(&snapshot, &heading));
             state.flags = snapshot.flags;
         }
         state.sensor = self.requests.lock(|requests| requests.sensor);

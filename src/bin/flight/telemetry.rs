@@ -141,8 +141,9 @@ impl Telemetry {
         let (now_us, latest) = (self.now_us, latest.as_ref());
         match format {
             OutputFormat::Mavlink => {
+                let is_due = latest.is_some();
                 self.commands
-                    .put_messages(&mut estimation, latest, now_us, failures, output);
+                    .put_messages(&mut estimation, is_due, now_us, failures, output);
             }
             OutputFormat::Log if HAS_LOG => put_log(
                 &mut self.sender,
@@ -199,9 +200,9 @@ impl Telemetry {
             return None;
         }
         self.tick %= pace.ticks;
-        let (snapshot, number) = attitude_task::latest()?;
+        let (latest, number) = Latest::read()?;
         let is_new = number != core::mem::replace(&mut self.last_published, number);
-        is_new.then(|| with_heading(snapshot))
+        is_new.then_some(latest)
     }
 
     /// Starts or ends the flow of bursts to the log.
@@ -328,16 +329,6 @@ fn put_frame(format: OutputFormat, snapshot: &Snapshot, counter: u8, output: &mu
     if let Ok(line) = core::str::from_utf8(line) {
         defmt::info!("{=str}", line);
     }
-}
-
-/// Adds the latest heading to a snapshot, and its flag.
-fn with_heading(mut snapshot: Snapshot) -> Latest {
-    let mut heading = None;
-    if compass::IS_BUILT_IN {
-        heading = heading::latest();
-        snapshot.set_heading_valid(heading);
-    }
-    Latest { snapshot, heading }
 }
 
 /// Writes the heading's lines if it is known and there is room, and to the log over RTT.
