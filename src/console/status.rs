@@ -187,7 +187,18 @@ impl fmt::Display for RunningProcedure<'_> {
     }
 }
 
-/// Record as text: the answer to `show`.
+/// Writes a matrix by rows, as `gyro_matrix=` and nine numbers.
+#[inline(never)]
+fn write_matrix(
+    formatter: &mut fmt::Formatter<'_>,
+    name: &str,
+    rows: &[Vector3; 3],
+) -> fmt::Result {
+    let [x, y, z] = rows.map(|row| Triple(row, 4));
+    write!(formatter, " {name}_matrix={x},{y},{z}")
+}
+
+/// Record as text: the answer to `show`. Of a temperature model it has the range alone.
 pub(super) struct RecordText<'a>(pub(super) &'a Record);
 
 impl fmt::Display for RecordText<'_> {
@@ -251,8 +262,7 @@ impl fmt::Display for RecordText<'_> {
             None => formatter.write_str("none")?,
         }
         if let Some(matrix) = calibration.gyroscope_matrix {
-            let [x, y, z] = matrix.rows.map(|row| Triple(row, 4));
-            write!(formatter, " gyro_matrix={x},{y},{z}")?;
+            write_matrix(formatter, "gyro", &matrix.rows)?;
         }
         let Preferences {
             format,
@@ -286,6 +296,9 @@ impl fmt::Display for CompassSettingsText<'_> {
                 " compass_iron={}",
                 Triple(correction.hard_iron_ut, 1)
             )?;
+            if correction.has_soft_iron() {
+                write_matrix(formatter, "compass", &correction.matrix)?;
+            }
         }
         if compass::IS_BUILT_IN && compass.declination_rad != 0.0 {
             let declination_deg = degrees(compass.declination_rad);

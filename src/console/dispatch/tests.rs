@@ -277,7 +277,7 @@ fn full() -> Record {
             mount: Mount::parse("-x-y"),
             correction: Some(CompassCorrection {
                 hard_iron_ut: Vector3::new(-1234.5, -1234.5, -1234.5),
-                ..CompassCorrection::NONE
+                matrix: [Vector3::new(-1.2345, -1.2345, -1.2345); 3],
             }),
             declination_rad: radians(-180.0),
         },
@@ -1421,7 +1421,8 @@ fn the_longest_answers_fit() {
     assert!(
         show.ends_with(
             " format=classic rate=1000 baud=921600 compass=qmc5883l compass_mount=-x-y \
-             compass_iron=-1234.5,-1234.5,-1234.5 declination=-180.00"
+             compass_iron=-1234.5,-1234.5,-1234.5 compass_matrix=-1.2345,-1.2345,-1.2345,\
+             -1.2345,-1.2345,-1.2345,-1.2345,-1.2345,-1.2345 declination=-180.00"
         ),
         "{show}"
     );
