@@ -308,7 +308,7 @@ impl Console {
         self.working.calibration.gyroscope_matrix = is_given.then_some(matrix);
         module.set_calibration(&self.working.calibration);
         reply.ok(format_args!(
-            "gyro-matrix: the filter starts again with it; \"save\" keeps it"
+            "gyro-matrix: the filter starts again if it is new; \"save\" keeps it"
         ))
     }
 

@@ -196,7 +196,8 @@ impl Telemetry {
         }
         // While the last output is being sent, the frame waits for the next tick, unless the next
         // frame is due then.
-        if !self.transmitter.is_idle() && self.tick + 1 < 2 * pace.ticks {
+        let is_next_due = self.tick + 1 >= 2 * pace.ticks;
+        if !self.transmitter.is_idle() && !is_next_due {
             return None;
         }
         self.tick %= pace.ticks;

@@ -634,7 +634,7 @@ fn a_gyroscope_matrix_is_set_shown_and_kept() {
     let mut harness = Harness::new();
     assert_eq!(
         harness.ask("gyro-matrix -277,-150,80,118,257,-184,-92,160,-196"),
-        "ok gyro-matrix: the filter starts again with it; \"save\" keeps it"
+        "ok gyro-matrix: the filter starts again if it is new; \"save\" keeps it"
     );
     let calibration = harness.working().calibration;
     let [x, _, z] = calibration.gyroscope_matrix.expect("it is set").rows;
