@@ -146,7 +146,7 @@ use prior::{BiasPrior, ParameterPriors};
 use propagation::{GYROSCOPE_PARAMETERS, Interval};
 use recent_velocity::RecentVelocity;
 use recovery::ForceSum;
-use rest_detector::RestDetector;
+use rest_detector::{LONGEST_REST_PAUSE_S, RestDetector};
 use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
 use unseen::LONG_STEP_S;
@@ -418,6 +418,7 @@ impl Kalman {
             force_m_s2,
             step.force_integral_body_m_s,
             step.duration_s,
+            step.duration_s > self.pause_after_s && step.duration_s > LONGEST_REST_PAUSE_S,
             self.tuning,
         );
         let period_s = if self.is_from_one_sample {

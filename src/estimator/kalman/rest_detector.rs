@@ -23,6 +23,10 @@ const FORGOTTEN_S: f32 = 0.25;
 /// because the sensor's low-pass filter still settles.
 const FIRST_AVERAGE_S: f32 = 0.07;
 
+/// Longest pause in a rest, s, with the rest of the earth step that it ends. In a longer one the
+/// body may have moved.
+pub(super) const LONGEST_REST_PAUSE_S: f32 = 0.1;
+
 /// Time without motion after which the sensor is [still](RestDetector::is_still), s.
 const STILL_S: f32 = 0.3;
 
@@ -96,12 +100,16 @@ impl RestDetector {
 
     /// Adds a sample's readings, `duration_s` after the last ones, and the integral of the specific
     /// force over that time, m/s in body axes.
+    ///
+    /// After a pause the time without motion begins again, at 0.1 s: the averages are then those of
+    /// one sample.
     pub(super) fn update(
         &mut self,
         rate_rad_s: Vector3,
         force_m_s2: Vector3,
         force_integral_m_s: Vector3,
         duration_s: f32,
+        is_pause: bool,
         tuning: &Tuning,
     ) {
         let rate = rate_rad_s - self.average_rate_rad_s;
@@ -127,7 +135,11 @@ impl RestDetector {
             let is_complete = averaged_s >= FIRST_AVERAGE_S;
             if is_complete { averaged_s } else { -averaged_s }
         } else if is_quiet {
-            let still_s = self.still_s + duration_s;
+            let still_s = if is_pause {
+                LONGEST_REST_PAUSE_S
+            } else {
+                self.still_s + duration_s
+            };
             if still_s < LONGEST_STILL_S {
                 still_s
             } else {
@@ -271,7 +283,7 @@ mod tests {
         for step in 0..STEPS {
             let before_s = detector.still_s();
             let (rate, velocity) = (Vector3::ZERO, force.scale(STEP_S));
-            detector.update(rate, force, velocity, STEP_S, &Tuning::DEFAULT);
+            detector.update(rate, force, velocity, STEP_S, false, &Tuning::DEFAULT);
             assert_ne!(detector.still_s(), before_s, "step {step}");
             assert!(detector.still_s() < LONGEST_STILL_S);
             assert!(step < 100 || detector.readings(&Tuning::DEFAULT).is_some());

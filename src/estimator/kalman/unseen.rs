@@ -41,8 +41,6 @@ pub(super) const LONG_STEP_S: f32 = 15.0e-3;
 
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
 const HIDDEN_SHARE: f32 = 0.2;
-/// Longest pause in a rest, s. In a longer one the body may have moved.
-const LONGEST_REST_PAUSE_S: f32 = 0.1;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
 const SATURATED_TILT: f32 = 0.25;
 /// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s. Readings without
@@ -142,9 +140,6 @@ impl Kalman {
             let force_change = sample.specific_force_m_s2 - self.nominal.force_m_s2;
             self.interval.unseen_tilt_rad2 += rate_change.dot(rate_change) * square(0.25 * dt_s);
             if dt_s > self.pause_after_s {
-                if dt_s > LONGEST_REST_PAUSE_S {
-                    self.rest_detector.interrupt();
-                }
                 self.interval.unseen_velocity_m2_s2 +=
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal

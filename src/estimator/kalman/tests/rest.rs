@@ -142,6 +142,28 @@ fn a_start_at_rest_makes_the_bias_known_at_every_rate() {
     }
 }
 
+/// The sample after a pause is one sample, with its noise. The drift of a rest must not be measured
+/// from it.
+#[test]
+fn a_pause_at_rest_leaves_the_bias_known() {
+    for seed in 0..60 {
+        for pause_us in [110_000, 200_000, 390_000, 480_000] {
+            let mut world = World::at_rest(from_degrees(15.0, 35.0, 0.0));
+            world.random = Random(4000 + seed);
+            world.force_noise = 0.08;
+            let mut estimator = estimator();
+            estimator.filter_mut().set_sample_period(1.0e-3);
+            let estimate = world.run(&mut estimator, 2_300);
+            assert!(estimate.is_bias_known, "seed {seed}");
+            world.t_us += pause_us;
+            for _ in 0..25 {
+                let is_known = world.run(&mut estimator, 100).is_bias_known;
+                assert!(is_known, "seed {seed}, pause of {pause_us} us");
+            }
+        }
+    }
+}
+
 /// With an offset of 20 °/s about the vertical, motion in a hand misleads the filter. The bias
 /// must not become known.
 #[test]
