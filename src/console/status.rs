@@ -27,7 +27,7 @@ pub(super) struct Status<'a> {
     pub(super) lines_dropped: u32,
     /// Name of the running procedure.
     pub(super) doing: Option<&'static str>,
-    /// That procedure, if it takes stationary means.
+    /// Running procedure, if it takes stationary means.
     pub(super) procedure: Option<&'a Procedure>,
 }
 

@@ -118,8 +118,8 @@ pub const fn has_room_for_heading(format: OutputFormat, rate_hz: u32, baud: u32)
 /// Bits of a byte on the UART: 8 data bits, a start bit and a stop bit.
 const BITS_PER_BYTE: u32 = 10;
 
-/// Most attitudes per second in the flight log. At higher rates its other frames often take longer
-/// than the time between two attitudes, and the next attitude is dropped.
+/// Largest rate of the attitudes in the flight log, Hz. At higher rates its other frames often take
+/// longer than the time between two attitudes, and the next attitude is dropped.
 const MAX_LOG_RATE_HZ: u32 = 250;
 
 /// Returns the most frames per second that the UART carries at a baud rate, with 8 data bits, one

@@ -141,9 +141,8 @@ impl Telemetry {
         let (now_us, latest) = (self.now_us, latest.as_ref());
         match format {
             OutputFormat::Mavlink => {
-                let is_due = latest.is_some();
-                self.commands
-                    .put_messages(&mut estimation, is_due, now_us, failures, output);
+                let (commands, is_due) = (&mut self.commands, latest.is_some());
+                commands.put_messages(&mut estimation, is_due, now_us, failures, output);
             }
             OutputFormat::Log if HAS_LOG => put_log(
                 &mut self.sender,
