@@ -95,8 +95,9 @@ pub struct Options {
     #[arg(long, group = "instead")]
     vibration: bool,
     /// Instead: fly this many starts beside a magnet, and as many with faulty readings of the
-    /// compass, swings about one axis, and flights with the hard iron of an earlier one; fail if a
-    /// heading is HEADING_VALID and wrong (500: six minutes of each core)
+    /// compass, swings about one axis, such swings for five minutes, and flights with the hard
+    /// iron of an earlier one; fail if a heading is HEADING_VALID and wrong (500: ten minutes of
+    /// each core)
     #[arg(long, value_name = "FLIGHTS", group = "instead", num_args = 0..=1,
         default_missing_value = "500", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     heading_promise: Option<u64>,
