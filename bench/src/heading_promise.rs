@@ -1,12 +1,12 @@
 //! The promise of `HEADING_VALID` in simulated flights: a valid heading is wrong by no more than
 //! the larger of 15° and six σ.
 //!
-//! Some flights are starts beside a magnet, with motor currents. In others the compass's readings are
-//! faulty for a time. In the third kind the body swings about one axis, which shows hard iron
+//! Some flights are starts beside a magnet, with motor currents. In others the compass's readings
+//! are faulty for a time. In the third kind the body swings about one axis, which shows hard iron
 //! poorly; in the fourth for minutes, in which yaw drifts. The fifth begins with the hard iron that
 //! an earlier flight of the vehicle has shown. In the last the core resets in a swing or in flight,
-//! and goes on from the kept attitude. The seed decides place, iron, motors, magnet, fault and axis.
-//! The comparison with the truth uses no more of the library than its quaternion and mount.
+//! and goes on from the kept attitude. The seed decides place, iron, motors, magnet, fault and
+//! axis. The comparison with the truth uses no more of the library than its quaternion and mount.
 
 use std::fmt::Write as _;
 use std::ops::Range;

@@ -61,8 +61,8 @@ const LEAST_SLOW_POSES: usize = 24;
 ///
 /// With the columns mx,my,mz (µT) the compass is calibrated too: turn the sensor slowly to and fro
 /// about all axes for 30 s, each side down once, away from iron. One fit with the filter's
-/// attitudes finds hard iron, soft iron and gains. It is refused if a side is missing, or if the
-/// readings contradict the motion.
+/// attitudes finds hard iron, soft iron and gains. It is refused if over a fifth of the directions
+/// is missing, or if the readings contradict the motion.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb calibrate poses.csv

@@ -20,7 +20,7 @@ const MOUNT: Mount = Mount::Z_UP;
 /// Calibration that was found, in sensor axes.
 #[derive(serde::Serialize)]
 pub struct CompassFound {
-    readings: u16,
+    readings: u32,
     /// Rows of the matrix.
     matrix: [[f32; 3]; 3],
     hard_iron_ut: [f32; 3],
@@ -72,7 +72,7 @@ pub fn find(recording: &Recording, delay_us: u32) -> Option<Result<CompassFound,
 
 impl CompassFound {
     /// Turns the fit from body axes to sensor axes.
-    fn new(fit: &CompassFit, readings: u16) -> Self {
+    fn new(fit: &CompassFit, readings: u32) -> Self {
         let correction = &fit.correction;
         let to_sensor = |body| MOUNT.to_sensor(aplomb::attitude::BodyVector(body));
         let hard_iron = to_sensor(correction.hard_iron_ut);

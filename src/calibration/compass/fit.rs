@@ -16,7 +16,7 @@ use super::coverage::{Coverage, Side};
 use crate::attitude::{BodyVector, Quaternion, Vector3};
 
 /// Smallest number of readings: 10 s at 50 a second.
-pub const MIN_READINGS: u16 = 500;
+pub const MIN_READINGS: u32 = 500;
 /// Smallest coverage, percent.
 const MIN_PERCENT: u8 = 80;
 /// Largest share that a wrong field may explain.
@@ -41,7 +41,7 @@ pub struct CompassFitter {
     squares: [Row; 4],
     /// Σ R_ij·h for each element of R.
     products: [[Row; 3]; 3],
-    readings: u16,
+    readings: u32,
     coverage: Coverage,
 }
 
@@ -69,7 +69,7 @@ pub enum CompassFitError {
     /// Too few readings came.
     TooFew {
         /// Number of readings.
-        have: u16,
+        have: u32,
     },
     /// A side of the vehicle never pointed down.
     Missing(Side),
@@ -78,6 +78,8 @@ pub enum CompassFitError {
         /// Share of the directions, percent.
         percent: u8,
     },
+    /// The readings do not change along all axes.
+    Unchanging,
     /// The readings contradict the attitudes.
     Inconsistent {
         /// Residual, percent of the field.
@@ -101,6 +103,7 @@ impl fmt::Display for CompassFitError {
                 formatter,
                 "{percent} % of the directions are too few: turn it about all its axes"
             ),
+            Self::Unchanging => formatter.write_str("an axis of the compass does not change"),
             Self::Inconsistent { percent } => write!(
                 formatter,
                 "the readings contradict the motion by {percent} %: \
@@ -150,7 +153,7 @@ impl CompassFitter {
     }
 
     /// Returns the number of readings.
-    pub const fn readings(&self) -> u16 {
+    pub const fn readings(&self) -> u32 {
         self.readings
     }
 
@@ -177,9 +180,7 @@ impl CompassFitter {
             let missing = self.coverage.missing_side();
             return Err(missing.map_or(poor, CompassFitError::Missing));
         }
-        let Some(solved) = self.solve_all() else {
-            return Err(poor);
-        };
+        let solved = self.solve_all().ok_or(CompassFitError::Unchanging)?;
         let matrix = self.explained(&solved);
         let (field, first) = largest(&matrix);
         let deflated = deflate(&matrix, field, first);
@@ -248,7 +249,7 @@ impl CompassFitter {
     /// Returns the matrix whose quadratic form is the explained share of a field.
     fn explained(&self, solved: &[[Row; 3]; 3]) -> [Vector3; 3] {
         let mut matrix = [Vector3::ZERO; 3];
-        let share = 1.0 / f32::from(self.readings);
+        let share = 1.0 / self.readings as f32;
         for (line, sums) in matrix.iter_mut().zip(&self.products) {
             for (axis, solutions) in AXES.iter().zip(solved) {
                 for (sum, solution) in sums.iter().zip(solutions) {
@@ -268,7 +269,7 @@ impl CompassFitter {
             let line = above.last()?;
             let diagonal = *line.get(pivot)?;
             // A NaN fails every comparison.
-            let is_regular = diagonal > 1.0e-4 * f32::from(self.readings);
+            let is_regular = diagonal > 1.0e-4 * self.readings as f32;
             if !is_regular {
                 return None;
             }

@@ -142,6 +142,37 @@ fn readings_that_contradict_the_motion_are_refused() {
     assert!(error.to_string().contains("go away from iron"));
 }
 
+/// A computer's recording may have a reading in each row, at 1 kHz for minutes.
+#[test]
+fn no_number_of_readings_hides_a_contradiction() {
+    let (mut fitter, mut seed) = (CompassFitter::new(), 7);
+    for nth in 0..80_000_u32 {
+        let t_s = nth as f32 * 0.001;
+        let attitude = attitude(t_s);
+        let wave = (t_s * 2.5).sin();
+        let magnet = Vector3::new(25.0 * wave, 0.0, -15.0 * wave);
+        fitter.add(attitude, reading(attitude, &mut seed) + magnet);
+    }
+    assert_eq!(fitter.readings(), 80_000);
+    let error = fitter.fit(Mount::Z_UP).expect_err("it is refused");
+    let is_found = matches!(error, CompassFitError::Inconsistent { .. });
+    assert!(is_found, "{error}");
+}
+
+#[test]
+fn a_dead_axis_is_named() {
+    for dead in [Vector3::new(0.0, 1.0, 1.0), Vector3::ZERO] {
+        let (mut fitter, mut seed) = (CompassFitter::new(), 7);
+        for nth in 0..1_500_u16 {
+            let attitude = attitude(f32::from(nth) * 0.02);
+            let Vector3 { x, y, z } = reading(attitude, &mut seed);
+            fitter.add(attitude, Vector3::new(dead.x * x, dead.y * y, dead.z * z));
+        }
+        let error = fitter.fit(Mount::Z_UP).expect_err("it is refused");
+        assert_eq!(error, CompassFitError::Unchanging);
+    }
+}
+
 /// The gyroscope's scale error of 1 % turns the attitude slowly.
 #[test]
 fn an_attitude_that_drifts_a_little_is_good_enough() {

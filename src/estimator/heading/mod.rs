@@ -99,8 +99,8 @@ const MOST_SLICES: u32 = 160;
 /// Largest sum of a reading's components, µT: no compass of this kind reaches it.
 const LARGEST_FIELD_UT: f32 = 15_000.0;
 
-/// Age beyond which a reading says nothing of the present attitude, µs. An age that underflows, in a
-/// program that subtracts two times, is beyond it too.
+/// Age beyond which a reading says nothing of the present attitude, µs. An age that underflows, in
+/// a program that subtracts two times, is beyond it too.
 const OLDEST_READING_US: u32 = 1_000_000;
 
 /// Heading of the level frame, in which yaw is zero.
