@@ -408,7 +408,7 @@ fn a_flight_log_replays_the_heading_to_the_bit() {
             .command(1.2, "declination 3.5")
             .command(1.5, "format log")
             .command(12.0, "declination -2")
-            .command(14.0, "compass +x-z")
+            .command(14.0, "compass +y-z")
             .command(15.5, "compass off")
             .command(16.5, "compass auto")
             .seconds(18.0)
