@@ -686,7 +686,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 17] = [
+const ONCE_FAILED: [(u64, &str, &str); 19] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -730,7 +730,7 @@ const ONCE_FAILED: [(u64, &str, &str); 17] = [
     (
         210_000_570,
         "1.848324 0 sda-low:9:0x12\n1.863888 0.115747 sensor-brownout\n\
-         2.437494 0 stack-overflow\n",
+         2.437494 0 stack-overflow:16\n",
         "the first correction after a warm start was late",
     ),
     (
@@ -774,6 +774,18 @@ const ONCE_FAILED: [(u64, &str, &str); 17] = [
         280_016_663,
         "2.658328 0.917945 compass-never-ready\n3.943818 0 watchdog-hang\n",
         "a correction of the tilt counted as a turn about a second axis, for the heading",
+    ),
+    (
+        1_346,
+        "1.808143 0 register-flip:0x37:0xea\n2.270533 0.026512 int-missing\n\
+         2.784981 0.007372 dma-error\n",
+        "a changed setting had latched the pin, and after the repair nothing ended that",
+    ),
+    (
+        700_001_648,
+        "1.988445 0.076712 supply-sag:1337\n4.612824 0.391342 ones\n\
+         5.459229 0.009458 data-nack:0\n6.012004 0.760401 compass-zeros\n",
+        "a pause counted as time at rest, and its one sample began the drift",
     ),
 ];
 
