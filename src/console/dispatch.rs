@@ -9,7 +9,9 @@ use core::fmt;
 
 use super::answer::{Kind, Reply, Triple};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
+use super::command::{
+    BAUD_RATES, Calibrate, Command, CommandForms, Measure, MountChoice, ParseError,
+};
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
@@ -483,9 +485,13 @@ impl Console {
             ));
         }
         if u32::from(rate_hz) > max_hz {
+            let or_baud = match BAUD_RATES {
+                [.., highest] if baud >= highest => "",
+                _ => ", or a higher baud rate",
+            };
             return reply.error(format_args!(
                 "{rate_hz} lines of {} a second are too many for {baud} baud: \
-                 \"rate {max_hz}\" fits, or a higher baud rate",
+                 \"rate {max_hz}\" fits{or_baud}",
                 format.name()
             ));
         }
