@@ -150,12 +150,12 @@ impl Heading {
             return;
         }
         let attitude = kalman.attitude_at_earth_step();
-        if self.turned_steps == 0 {
+        if self.steps_since_first == 0 {
             self.first_attitude = attitude;
             self.first_turn = Vector3::ZERO;
         }
-        self.turned_steps = if self.turned_steps < LONGEST_TURN_STEPS {
-            self.turned_steps + 1
+        self.steps_since_first = if self.steps_since_first < LONGEST_TURN_STEPS {
+            self.steps_since_first + 1
         } else {
             0
         };
@@ -179,7 +179,7 @@ impl Heading {
 
     /// Forgets where the field was first seen, and the turns since then.
     pub(super) fn forget_turns(&mut self) {
-        self.turned_steps = 0;
+        self.steps_since_first = 0;
         self.has_two_axes = false;
         self.verified_s = 0.0;
     }
@@ -334,7 +334,7 @@ impl Heading {
         let is_tilt_known = self.is_tilt_known(kalman);
         if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
-            self.turned_steps = 0;
+            self.steps_since_first = 0;
         }
         let verified_after_s = if self.is_iron_known {
             tuning.verified_after_s

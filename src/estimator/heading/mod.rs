@@ -144,7 +144,7 @@ pub struct Heading {
     /// Number of changes of the estimate, which wraps.
     changes: u8,
     /// Steps since `first_attitude` was taken. Zero: the next step takes it anew.
-    turned_steps: u8,
+    steps_since_first: u8,
     /// True after turns about two axes.
     has_two_axes: bool,
     /// True if a calibration or an earlier flight has given the hard iron, until a restart.
@@ -235,7 +235,7 @@ impl Heading {
             is_following: false,
             first_attitude: Quaternion::IDENTITY,
             first_turn: Vector3::ZERO,
-            turned_steps: 0,
+            steps_since_first: 0,
             has_two_axes: false,
             is_iron_known: knowledge != CompassKnowledge::Factory,
             verified_s: 0.0,
@@ -357,7 +357,7 @@ impl Heading {
         visitor.u8(&mut self.changes);
         visitor.quaternion(&mut self.first_attitude);
         visitor.vector(&mut self.first_turn);
-        visitor.u8(&mut self.turned_steps);
+        visitor.u8(&mut self.steps_since_first);
         visitor.bool(&mut self.has_two_axes);
         visitor.bool(&mut self.is_iron_known);
         let blank = HeadingEstimate {

@@ -413,12 +413,14 @@ impl Kalman {
         *east += step.force_integral_ned_m_s.y;
         interval.duration_s += step.duration_s;
         interval.squared_rate += step.rotation_rad.dot(step.rotation_rad) / step.duration_s;
+        let is_pause =
+            step.duration_s > self.pause_after_s && step.duration_s > LONGEST_REST_PAUSE_S;
         self.rest_detector.update(
             rate_rad_s,
             force_m_s2,
             step.force_integral_body_m_s,
             step.duration_s,
-            step.duration_s > self.pause_after_s && step.duration_s > LONGEST_REST_PAUSE_S,
+            is_pause,
             self.tuning,
         );
         let period_s = if self.is_from_one_sample {
