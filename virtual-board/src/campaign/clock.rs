@@ -12,11 +12,17 @@ use crate::recorder::Record;
 const FLAGGED_NS: u64 = super::BUS_DEADLINE_NS;
 
 /// Returns true if the crystal dies while the core runs by the internal oscillator, because the
-/// crystal has died before. A fault that resets the core is a schedule's last one.
-pub(super) fn is_unused_crystal(case: &Case, fault: &ScheduledFault) -> bool {
+/// crystal has died before, and no reset has come between.
+pub(super) fn is_unused_crystal(case: &Case, record: &Record, fault: &ScheduledFault) -> bool {
     let dies = |fault: &ScheduledFault| fault.kind == FaultKind::CrystalDies;
     let mut faults = case.schedule.faults.iter();
-    dies(fault) && faults.any(|earlier| dies(earlier) && earlier.start_ns < fault.start_ns)
+    dies(fault)
+        && faults.any(|earlier| {
+            let between = earlier.start_ns..fault.start_ns;
+            dies(earlier)
+                && !between.is_empty()
+                && !record.resets_ns.iter().any(|at_ns| between.contains(at_ns))
+        })
 }
 
 /// Checks that each snapshot by the internal oscillator has its flags.

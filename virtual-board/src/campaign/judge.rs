@@ -243,7 +243,7 @@ impl Judge<'_> {
                 let is_alone = episode.faults.len() == 1
                     && !episode.has_save
                     && !fault.kind.is_of_compass()
-                    && !super::clock::is_unused_crystal(case, fault);
+                    && !super::clock::is_unused_crystal(case, self.record, fault);
                 if is_alone && !is_detected && !fault.kind.counted().is_empty() {
                     let counted = self.record.counted(fault.start_ns, episode.due_ns);
                     report.failures.push(format!(

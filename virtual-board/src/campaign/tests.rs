@@ -180,7 +180,7 @@ fn a_fault_that_is_not_counted_as_its_class_fails() {
 
 #[test]
 fn the_second_death_of_a_crystal_need_not_be_counted() {
-    let by_internal = |faults: &str| {
+    let by_internal = |faults: &str, reset_ms: Option<u64>| {
         let case = case(faults);
         let mut record = record(&case, 0..0);
         for sample in &mut record.samples {
@@ -189,11 +189,18 @@ fn the_second_death_of_a_crystal_need_not_be_counted() {
             sample.snapshot.flags.set(internal, is_internal);
         }
         record.health.truncate(1);
+        record
+            .resets_ns
+            .extend(reset_ms.map(|at_ms| at_ms * MILLISECOND));
         judge(&case, &record, &telemetry()).failures
     };
-    let again = by_internal("1.8 0.1 crystal-dies\n2.3 0.1 crystal-dies");
-    assert_eq!(again, Vec::<String>::new());
-    let other = by_internal("1.8 0.1 crystal-dies\n2.3 0.1 zeros");
+    let twice = "1.8 0.1 crystal-dies\n2.3 0.1 crystal-dies";
+    assert_eq!(by_internal(twice, None), Vec::<String>::new());
+    // After a reset the core runs by the crystal again.
+    let failures = by_internal(twice, Some(2_200));
+    let is_missing = |text: &String| text.starts_with("not counted as one of [ClockFailed]");
+    assert!(failures.iter().any(is_missing), "{failures:?}");
+    let other = by_internal("1.8 0.1 crystal-dies\n2.3 0.1 zeros", None);
     assert_eq!(
         other,
         ["not counted as one of [Rejected], but as []: 2.3 0.1 zeros"]
