@@ -96,6 +96,8 @@ impl StillRates {
 mod tests {
     use std::f64::consts::TAU;
 
+    use aplomb_models::random::Random;
+
     use super::*;
 
     const GRAVITY: f64 = 9.806_65;
@@ -104,13 +106,8 @@ mod tests {
     /// gives force and rate at a time.
     fn found_s(seconds: u32, motion: impl Fn(f64) -> (Vector, Vector)) -> Option<f64> {
         let mut still = StillRates::default();
-        let mut state = 1_u64;
-        let mut noise = |size: f64| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            ((state >> 40) as f64 / f64::from(1_u32 << 23) - 1.0) * size
-        };
+        let mut random = Random::new(1, "still rates");
+        let mut noise = |size: f64| random.uniform(-size, size);
         (0..seconds * 100).map(f64::from).find_map(|index| {
             let (force, rates) = motion(index * 0.01);
             let row = Row {

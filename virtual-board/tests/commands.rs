@@ -388,7 +388,7 @@ fn the_halves_of_a_garbled_line_are_no_command() {
     );
 }
 
-/// A frozen sensor is no rest: it would give the pose from before.
+/// The offset that the first one stores shortens neither of the others.
 #[test]
 fn a_repeated_calibration_takes_as_long_as_the_first() {
     let outcome = fly(Run::new(firmware())
@@ -409,6 +409,7 @@ fn a_repeated_calibration_takes_as_long_as_the_first() {
     assert_eq!(ends.len(), 3, "{ends:?}");
 }
 
+/// A frozen sensor is no rest: it would give the pose from before.
 #[test]
 fn a_calibration_waits_while_the_sensor_is_frozen() {
     let (froze_s, thawed_s) = (3.0, 8.0);
