@@ -92,7 +92,7 @@ impl AttitudeTask {
                 && self.has_heading
                 && let Some(compass) = &mut compass
             {
-                compass.follow(pipeline);
+                compass.update_heading(pipeline);
             }
             self.finish_sample(pipeline, compass, &snapshot);
             return self.take_flags(snapshot.flags);

@@ -182,10 +182,10 @@ impl CompassReader {
         (self.heading.filter(), self.taken)
     }
 
-    /// Lets the heading follow the last sample.
+    /// Updates the heading with the last sample.
     #[inline(always)]
-    pub fn follow(&mut self, pipeline: &Pipeline) {
-        self.heading.follow(pipeline);
+    pub fn update_heading(&mut self, pipeline: &Pipeline) {
+        self.heading.update(pipeline);
     }
 
     /// Returns the choice.

@@ -47,14 +47,14 @@ impl HeadingPublisher {
         }
     }
 
-    /// Returns whether the filter has to follow each sample.
+    /// Returns whether the filter needs each sample.
     pub const fn is_running(&self) -> bool {
         self.filter.is_running()
     }
 
-    /// Lets the filter follow the last sample. Call it after each update of the pipeline.
+    /// Updates the filter with the last sample. Call it after each update of the pipeline.
     #[inline(always)]
-    pub fn follow(&mut self, pipeline: &Pipeline) {
+    pub fn update(&mut self, pipeline: &Pipeline) {
         if self.is_running() {
             pipeline.update_heading(&mut self.filter);
             if self.filter.changes() != self.published {

@@ -100,13 +100,13 @@ impl CompassPipeline {
     /// Processes one burst like [`Pipeline::update`].
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
         let snapshot = self.pipeline.update(burst, board);
-        self.follow(snapshot)
+        self.update_heading(snapshot)
     }
 
     /// Processes one calibrated sample in body axes like [`Pipeline::update_sample`].
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         let snapshot = self.pipeline.update_sample(sample);
-        self.follow(snapshot)
+        self.update_heading(snapshot)
     }
 
     /// Adds a reading of the compass in body axes, corrected as the [`CompassKnowledge`] states.
@@ -155,8 +155,8 @@ impl CompassPipeline {
         self.heading.visit_state(visitor);
     }
 
-    /// Lets the heading filter follow the sample, and sets its flag.
-    fn follow(&mut self, mut snapshot: Snapshot) -> Snapshot {
+    /// Updates the heading filter with the last sample, and sets its flag.
+    fn update_heading(&mut self, mut snapshot: Snapshot) -> Snapshot {
         self.pipeline.update_heading(&mut self.heading);
         snapshot.set_heading_valid(self.heading());
         snapshot
@@ -168,7 +168,7 @@ impl Pipeline {
     #[inline]
     pub fn update_heading(&self, heading: &mut Heading) {
         if let Some(t_us) = self.estimator.last_t_us() {
-            heading.follow_to(self.kalman(), t_us);
+            heading.update_to(self.kalman(), t_us);
         }
     }
 

@@ -317,7 +317,7 @@ impl Subject for WithHeading {
     fn update(&mut self, input: &Input) -> Output {
         let estimate = self.estimator.update(&input.sample);
         let kalman = self.estimator.filter();
-        self.heading.follow(kalman, STEP_S);
+        self.heading.update(kalman, STEP_S);
         if let Some(field) = input.field {
             self.heading.add_field(field, FIELD_AGE_US);
         }

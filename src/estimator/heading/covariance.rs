@@ -7,7 +7,7 @@
 //! The local deviation forgets within seconds, so X leaves out its correlation with the error
 //! states. In 5,000 simulated flights no covariance became indefinite.
 
-use crate::estimator::kalman::follow::ERROR_STATES;
+use crate::estimator::kalman::heading_access::ERROR_STATES;
 use crate::serialize::StateVisitor;
 
 /// Number of field states: field (3), hard iron (3), local deviation (3).

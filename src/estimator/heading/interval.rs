@@ -5,7 +5,7 @@ use super::tuning::Tuning;
 use crate::attitude::Quaternion;
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::kalman::Kalman;
-use crate::estimator::kalman::follow::GYROSCOPE;
+use crate::estimator::kalman::heading_access::GYROSCOPE;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 

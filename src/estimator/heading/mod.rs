@@ -49,7 +49,7 @@
 //!     // Level and at rest, its nose to the east.
 //!     let force = BodyVector::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
 //!     estimator.update(&Sample::new(1_000 * index, force, BodyVector::ZERO));
-//!     heading.follow(estimator.filter(), 0.001);
+//!     heading.update(estimator.filter(), 0.001);
 //!     if index % 10 == 0 {
 //!         let field = MagneticField { ut: [0.0, -20.0, 45.0] };
 //!         heading.add_field(field, 5_000);
@@ -76,7 +76,7 @@ pub(crate) use tuning::VALID_TILT_RAD;
 
 use super::arithmetic::{larger, square};
 use super::kalman::Kalman;
-use super::kalman::follow::ERROR_STATES;
+use super::kalman::heading_access::ERROR_STATES;
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
@@ -125,7 +125,7 @@ impl HeadingEstimate {
     }
 }
 
-/// The heading filter: [`follow`](Self::follow) it after each sample of the tilt filter.
+/// The heading filter: [`update`](Self::update) it after each sample of the tilt filter.
 ///
 /// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
 /// code.
@@ -175,7 +175,7 @@ pub struct Heading {
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Scratch of the step. From `Phase::Follow` on: gains of the tilt filter's measurements. From
+    /// Scratch of the step. From `Phase::RepeatOnCross` on: gains of the tilt filter's measurements. From
     /// `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From `Phase::Project` on: O·hᵀ of
     /// an axis.
     own_column: [f32; STATES],
@@ -186,8 +186,8 @@ pub struct Heading {
     intervals: [Interval; 2],
     covariance: Covariance,
     knowledge: CompassKnowledge,
-    /// True once a sample has been followed, after a reading.
-    is_following: bool,
+    /// True after the first update that had a reading.
+    has_started: bool,
     declination_rad: f32,
     /// Attitude from which turns count, of the last 15 s.
     first_attitude: Quaternion,
@@ -195,8 +195,8 @@ pub struct Heading {
     /// before.
     first_turn: Vector3,
     estimate: Option<HeadingEstimate>,
-    /// Time of the last sample that [`follow_to`](Self::follow_to) has followed, µs.
-    followed_us: u64,
+    /// Time of the last sample that [`update_to`](Self::update_to) has processed, µs.
+    updated_us: u64,
 }
 
 impl Heading {
@@ -231,8 +231,8 @@ impl Heading {
             inconsistency: 0.0,
             contradicted_s: 0.0,
             silent_s: 0.0,
-            followed_us: 0,
-            is_following: false,
+            updated_us: 0,
+            has_started: false,
             first_attitude: Quaternion::IDENTITY,
             first_turn: Vector3::ZERO,
             steps_since_first: 0,
@@ -352,8 +352,8 @@ impl Heading {
         ] {
             visitor.f32(field);
         }
-        visitor.bool(&mut self.is_following);
-        visitor.u64(&mut self.followed_us);
+        visitor.bool(&mut self.has_started);
+        visitor.u64(&mut self.updated_us);
         visitor.u8(&mut self.changes);
         visitor.quaternion(&mut self.first_attitude);
         visitor.vector(&mut self.first_turn);
@@ -415,7 +415,7 @@ impl Heading {
     }
 
     /// Adds a reading of the compass, in body axes. Its motion was `age_us` before that of the last
-    /// sample that the filter has followed. Readings that no compass delivers are ignored, and
+    /// sample of the last update. Readings that no compass delivers are ignored, and
     /// those that are older than a second.
     ///
     /// The reading takes effect with the next sample.
@@ -428,34 +428,35 @@ impl Heading {
         self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
     }
 
-    /// Returns whether the filter has started to follow samples: true from the first reading on.
+    /// Returns whether the filter needs each sample: true from the first reading on.
     pub const fn is_running(&self) -> bool {
-        self.has_reading || self.is_following
+        self.has_reading || self.has_started
     }
 
-    /// Follows the tilt filter to its last sample, at `t_us` (µs): like [`follow`](Self::follow)
-    /// with the time since the last call. A time that is not later is not followed, and before the
-    /// first reading there is nothing to follow.
+    /// Processes the last sample of the tilt filter, at `t_us` (µs): like [`update`](Self::update)
+    /// with the time since the last call. Does nothing before the first reading, or if the time is
+    /// not later than that of the last call.
     #[inline]
-    pub fn follow_to(&mut self, kalman: &Kalman, t_us: u64) {
+    pub fn update_to(&mut self, kalman: &Kalman, t_us: u64) {
         if !self.is_running() {
             return;
         }
-        let before_us = core::mem::replace(&mut self.followed_us, t_us);
+        let before_us = core::mem::replace(&mut self.updated_us, t_us);
         let step_us = t_us.saturating_sub(before_us);
-        if core::mem::replace(&mut self.is_following, true) && step_us > 0 {
+        if core::mem::replace(&mut self.has_started, true) && step_us > 0 {
             let step_us = u32::try_from(step_us).unwrap_or(u32::MAX);
-            self.follow(kalman, step_us as f32 * SECONDS_PER_MICROSECOND);
+            self.update(kalman, step_us as f32 * SECONDS_PER_MICROSECOND);
         }
     }
 
-    /// Follows the tilt filter, after each of its samples, `dt_s` seconds after the previous one.
+    /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one. Runs one
+    /// slice of a step at most, unless samples are rare.
     #[inline]
-    pub fn follow(&mut self, kalman: &Kalman, dt_s: f32) {
+    pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
         if kalman.is_motion_reset()
             && (self.covariance.is_correlated() || self.phase != Phase::Idle)
         {
-            self.follow_reset();
+            self.reset_with_tilt();
         }
         self.elapsed_s += dt_s;
         let is_earth_step = kalman.is_at_earth_step();
@@ -493,7 +494,7 @@ impl Heading {
     #[inline(never)]
     fn add_reading(&mut self, kalman: &Kalman, dt_s: f32) {
         self.has_reading = false;
-        self.is_following = true;
+        self.has_started = true;
         if kalman.has_tilt() {
             let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
             self.interval().add_reading(kalman, field_ut, age_s);
@@ -574,7 +575,7 @@ impl Heading {
     /// may have abandoned a step, or reset the parameters.
     #[cold]
     #[inline(never)]
-    fn follow_reset(&mut self) {
+    fn reset_with_tilt(&mut self) {
         self.covariance.forget_cross();
         self.reset_field();
         self.intervals = [Interval::EMPTY; 2];

@@ -1,7 +1,7 @@
 //! Steps of the heading filter, in slices: one step after each covariance step of the tilt filter,
 //! over the same interval.
 //!
-//! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/follow.rs`).
+//! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/heading_access.rs`).
 //! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
 //!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
 //!    over an interval. The step therefore uses those after the tilt filter's correction δ: it
@@ -13,8 +13,8 @@ use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::kalman::Kalman;
-use crate::estimator::kalman::follow::{
-    ERROR_STATES, FIRST_GYROSCOPE, Followed, GYROSCOPE, MEASUREMENTS, VELOCITY,
+use crate::estimator::kalman::heading_access::{
+    ERROR_STATES, FIRST_GYROSCOPE, GYROSCOPE, MEASUREMENTS, TiltMeasurement, VELOCITY,
 };
 use crate::serialize::StateVisitor;
 
@@ -37,9 +37,9 @@ pub(super) enum Phase {
     Relax,
     /// Repeats the tilt filter's measurements on a row of X. Index 0: those of the velocity. Index
     /// n > 0: measurement n − 1, if it is of a parameter.
-    Follow(u8, u8),
+    RepeatOnCross(u8, u8),
     /// Repeats the tilt filter's measurements on a row of O, from this index on (from 0).
-    FollowOwn(u8, u8),
+    RepeatOnOwn(u8, u8),
     /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
     Drift(u8),
     /// Covariance of the drift of yaw with the field states.
@@ -83,8 +83,8 @@ impl Heading {
             Phase::Waiting => Phase::Waiting,
             Phase::Propagate(row) => self.propagate(kalman, row),
             Phase::Relax => self.relax(kalman),
-            Phase::Follow(row, index) => self.follow_measurement(kalman, row, index),
-            Phase::FollowOwn(row, index) => self.follow_own(kalman, row, index),
+            Phase::RepeatOnCross(row, index) => self.repeat_on_cross_row(kalman, row, index),
+            Phase::RepeatOnOwn(row, index) => self.repeat_on_own_row(kalman, row, index),
             Phase::Drift(parameter) => self.drift(kalman, parameter),
             Phase::ProjectDrift => self.project_drift(),
             Phase::RotateField => self.rotate_field(kalman),
@@ -135,30 +135,30 @@ impl Heading {
             // The field keeps the variance that the measurement would have taken from it.
             self.covariance.forget_cross();
         }
-        Phase::Follow(0, 0)
+        Phase::RepeatOnCross(0, 0)
     }
 
     /// Repeats the tilt filter's measurements on a row of X and O: those of the velocity together
     /// with index 0, then those of each parameter.
     ///
     /// A row needs its own p from before the step, and X·e of the rows above from after it.
-    fn follow_measurement(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
+    fn repeat_on_cross_row(&mut self, kalman: &Kalman, row: u8, index: u8) -> Phase {
         let place = usize::from(row);
         let Some(entries) = self.covariance.cross.get_mut(place) else {
             self.cross_column = [0.0; ERROR_STATES];
             return Phase::Drift(0);
         };
-        let Some(measurement) = usize::from(index).checked_sub(1) else {
+        let Some(number) = usize::from(index).checked_sub(1) else {
             let mut change = 0.0;
             let mut velocity = [0.0; 2];
             for (number, gain) in self.own_column.iter_mut().enumerate().take(MEASUREMENTS) {
-                let Some(followed) = kalman.followed(number) else {
+                let Some(measurement) = kalman.last_step_measurement(number) else {
                     break;
                 };
-                let p = entries.get(followed.state).copied().unwrap_or(0.0);
-                *gain = p * followed.weight;
-                change += *gain * followed.residual;
-                let velocity_axis = followed.state.wrapping_sub(VELOCITY.start);
+                let p = entries.get(measurement.state).copied().unwrap_or(0.0);
+                *gain = p * measurement.weight;
+                change += *gain * measurement.residual;
+                let velocity_axis = measurement.state.wrapping_sub(VELOCITY.start);
                 if let Some(factor) = velocity.get_mut(velocity_axis) {
                     *factor = -*gain;
                 }
@@ -167,36 +167,40 @@ impl Heading {
             if let Some(state) = self.state.get_mut(place) {
                 *state += change;
             }
-            return Phase::Follow(row, 1);
+            return Phase::RepeatOnCross(row, 1);
         };
-        let parameter = kalman.followed(measurement).and_then(Followed::parameter);
-        let gain = self.own_column.get(measurement).copied().unwrap_or(0.0);
+        let parameter = kalman
+            .last_step_measurement(number)
+            .and_then(TiltMeasurement::parameter);
+        let gain = self.own_column.get(number).copied().unwrap_or(0.0);
         match parameter {
             Some(parameter) => kalman.add_parameter_column(parameter, -gain, entries),
-            None => return Phase::FollowOwn(row, 0),
+            None => return Phase::RepeatOnOwn(row, 0),
         }
-        Phase::Follow(row, index + 1)
+        Phase::RepeatOnCross(row, index + 1)
     }
 
     /// Repeats the tilt filter's measurements on a row of O, from the rows of X so far.
-    fn follow_own(&mut self, kalman: &Kalman, row: u8, first: u8) -> Phase {
+    fn repeat_on_own_row(&mut self, kalman: &Kalman, row: u8, first: u8) -> Phase {
         let start = usize::from(first);
         for index in start..start + OWN_MEASUREMENTS {
-            let (Some(followed), Some(gain)) = (kalman.followed(index), self.own_column.get(index))
-            else {
-                return Phase::Follow(row + 1, 0);
+            let (Some(measurement), Some(gain)) = (
+                kalman.last_step_measurement(index),
+                self.own_column.get(index),
+            ) else {
+                return Phase::RepeatOnCross(row + 1, 0);
             };
             let mut column = [0.0; CORRELATED];
             for (entry, row) in column.iter_mut().zip(&self.covariance.cross) {
-                *entry = row.get(followed.state).copied().unwrap_or(0.0);
+                *entry = row.get(measurement.state).copied().unwrap_or(0.0);
             }
             self.covariance.subtract(row.into(), *gain, &column);
         }
         let next = first + OWN_MEASUREMENTS as u8;
-        if kalman.followed(next.into()).is_some() {
-            Phase::FollowOwn(row, next)
+        if kalman.last_step_measurement(next.into()).is_some() {
+            Phase::RepeatOnOwn(row, next)
         } else {
-            Phase::Follow(row + 1, 0)
+            Phase::RepeatOnCross(row + 1, 0)
         }
     }
 
@@ -331,8 +335,8 @@ impl Phase {
             Self::Waiting => (1, 0, 0),
             Self::Propagate(row) => (2, row, 0),
             Self::Relax => (3, 0, 0),
-            Self::Follow(row, index) => (4, row, index),
-            Self::FollowOwn(row, index) => (5, row, index),
+            Self::RepeatOnCross(row, index) => (4, row, index),
+            Self::RepeatOnOwn(row, index) => (5, row, index),
             Self::Drift(part) => (6, part, 0),
             Self::ProjectDrift => (7, 0, 0),
             Self::RotateField => (8, 0, 0),
@@ -360,8 +364,8 @@ impl Phase {
             1 => Self::Waiting,
             2 => Self::Propagate(first),
             3 => Self::Relax,
-            4 => Self::Follow(first, second),
-            5 => Self::FollowOwn(first, second),
+            4 => Self::RepeatOnCross(first, second),
+            5 => Self::RepeatOnOwn(first, second),
             6 => Self::Drift(first),
             7 => Self::ProjectDrift,
             8 => Self::RotateField,

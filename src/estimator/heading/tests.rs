@@ -69,7 +69,7 @@ impl Flight {
         let rate = rate_rad_s + self.offset_rad_s + self.noise(0.002);
         self.estimator
             .update(&Sample::new(self.t_us, BodyVector(force), BodyVector(rate)));
-        self.heading.follow(self.estimator.filter(), dt_s);
+        self.heading.update(self.estimator.filter(), dt_s);
         if self.t_us >= self.reading_us {
             self.reading_us += self.reading_period_us;
             let field = to_body.rotate(EARTH_UT + self.disturbance_ut) + self.iron_ut;
@@ -151,7 +151,7 @@ fn without_a_reading_there_is_no_heading() {
     let force = BodyVector::new(0.0, 0.0, -STANDARD_GRAVITY_M_S2);
     for index in 0..5_000_u64 {
         estimator.update(&Sample::new(1_000 * index, force, BodyVector::ZERO));
-        heading.follow(estimator.filter(), 0.001);
+        heading.update(estimator.filter(), 0.001);
         assert_eq!(heading.estimate(), None, "{index}");
     }
 }
@@ -631,16 +631,16 @@ fn a_heading_without_readings_is_valid_for_a_second() {
 }
 
 #[test]
-fn following_to_a_time_is_following_by_its_step() {
+fn an_update_to_a_time_is_an_update_by_its_step() {
     let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
     flight.step(Vector3::ZERO);
     let mut other = flight.heading;
-    other.follow_to(flight.estimator.filter(), flight.t_us);
+    other.update_to(flight.estimator.filter(), flight.t_us);
     for index in 0..2_000 {
         flight.step(Vector3::new(0.5, -0.3, 0.2));
-        other.follow_to(flight.estimator.filter(), flight.t_us);
+        other.update_to(flight.estimator.filter(), flight.t_us);
         // A sample that the tilt filter has rejected.
-        other.follow_to(flight.estimator.filter(), flight.t_us);
+        other.update_to(flight.estimator.filter(), flight.t_us);
         if flight.heading.has_reading {
             other.add_field(
                 MagneticField {
@@ -649,10 +649,10 @@ fn following_to_a_time_is_following_by_its_step() {
                 0,
             );
         }
-        assert_eq!((other.followed_us, other.is_following), (flight.t_us, true));
+        assert_eq!((other.updated_us, other.has_started), (flight.t_us, true));
         let changes = other.changes;
         let without_time = Heading {
-            followed_us: 0,
+            updated_us: 0,
             ..other
         };
         assert_eq!(without_time, flight.heading, "{index} {changes}");

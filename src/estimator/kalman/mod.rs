@@ -106,7 +106,7 @@
 mod confirmation;
 mod consistency;
 mod covariance;
-pub(super) mod follow;
+pub(super) mod heading_access;
 mod init;
 mod measurements;
 mod nominal;

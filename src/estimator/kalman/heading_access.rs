@@ -1,8 +1,8 @@
-//! Read access for a filter that follows this one, such as [`heading`](crate::estimator::heading).
+//! Read access for the [`heading`](crate::estimator::heading) filter.
 //!
-//! A follower has states of its own, and their cross-covariance with the error state of this
-//! filter. It repeats on the cross-covariance what a covariance step does to the covariance. It
-//! changes nothing here, so the attitude does not depend on it.
+//! The heading filter has states of its own, and their cross-covariance with the error state of
+//! this filter. It repeats on the cross-covariance what a covariance step does to the covariance.
+//! It changes nothing here, so the attitude does not depend on it.
 //!
 //! Measurements of a step are repeated after the step, from its result P⁺. With the variances r
 //! of its measurements, and p_i = P_hx·e_i before the step,
@@ -25,9 +25,9 @@ use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::arithmetic::square;
 
 /// Number of error states: tilt (2), velocity (2), gyroscope bias (3) and matrix (9), accelerometer
-/// bias (3). A follower needs all of them. The errors of tilt and accelerometer bias mostly cancel
-/// in the velocity. Without the bias, each measured velocity would shrink the follower's covariance
-/// by too much, until it is indefinite.
+/// bias (3). The heading filter needs all of them. The errors of tilt and accelerometer bias mostly
+/// cancel in the velocity. Without the bias, each measured velocity would shrink the covariance of
+/// the heading filter by too much, until it is indefinite.
 pub(in crate::estimator) const ERROR_STATES: usize = DYNAMIC + PARAMETERS;
 
 /// Error states of the velocity.
@@ -41,7 +41,7 @@ pub(in crate::estimator) const MEASUREMENTS: usize = MOST_MEASUREMENTS;
 
 /// Measurement of the last covariance step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::estimator) struct Followed {
+pub(in crate::estimator) struct TiltMeasurement {
     /// The measured error state.
     pub(in crate::estimator) state: usize,
     /// 1/r, the inverse of the measurement's variance.
@@ -50,7 +50,7 @@ pub(in crate::estimator) struct Followed {
     pub(in crate::estimator) residual: f32,
 }
 
-impl Followed {
+impl TiltMeasurement {
     /// Returns the measured parameter; `None` for the velocity.
     pub(in crate::estimator) fn parameter(self) -> Option<usize> {
         self.state.checked_sub(DYNAMIC)
@@ -210,7 +210,10 @@ impl Kalman {
     }
 
     /// Returns a measurement of the last covariance step.
-    pub(in crate::estimator) fn followed(&self, index: usize) -> Option<Followed> {
+    pub(in crate::estimator) fn last_step_measurement(
+        &self,
+        index: usize,
+    ) -> Option<TiltMeasurement> {
         let measurement = self.step.measurement(index)?;
         let correction = &self.step.correction;
         let (state, correction) = match measurement.state {
@@ -220,7 +223,7 @@ impl Kalman {
                 (DYNAMIC + parameter, correction)
             }
         };
-        Some(Followed {
+        Some(TiltMeasurement {
             state,
             weight: 1.0 / measurement.variance,
             residual: measurement.innovation - correction,
