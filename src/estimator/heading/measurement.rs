@@ -54,6 +54,12 @@ impl Heading {
         [mx - cx - dx, my - cy - dy, mz - cz - dz]
     }
 
+    /// Returns the squared innovation of all axes, µT².
+    fn squared_innovation_ut2(&self) -> f32 {
+        let [x, y, z] = self.innovation();
+        square(x) + square(y) + square(z)
+    }
+
     /// Returns the measurement's row of an axis.
     fn row(&self, axis: usize) -> Row {
         let [x, y, z] = self.measured();
@@ -100,7 +106,7 @@ impl Heading {
             iron += square(factor) * covariance.entry(state, state);
         }
         let own = covariance.entry(c, c) + covariance.entry(d, d);
-        self.expected_then_noise_ut2 += own + iron + 2.0 * linear + tilt;
+        self.expected_ut2 += own + iron + 2.0 * linear + tilt;
         if axis < 2 {
             Phase::Expect(axis + 1)
         } else {
@@ -116,22 +122,20 @@ impl Heading {
         let duration_s = self.closed().duration_s;
         let mean_square_rate = self.closed().squared_rate / duration_s;
         let noise = square(tuning.noise_ut) + square(tuning.noise_per_rate) * mean_square_rate;
-        let [x, y, z] = self.innovation();
-        let squared = square(x) + square(y) + square(z);
-        let expected = self.expected_then_noise_ut2 + 3.0 * noise;
+        let squared = self.squared_innovation_ut2();
+        let expected = self.expected_ut2 + 3.0 * noise;
         let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
         let decay = smaller(duration_s / tuning.excess_s, 1.0);
         let limit = square(tuning.largest_excess_ut);
         self.excess = larger(self.excess * (1.0 - decay), smaller(excess, limit));
-        self.expected_then_noise_ut2 = noise + tuning.excess_to_noise * excess;
+        self.noise_ut2 = noise + tuning.excess_to_noise * excess;
         let share = smaller(duration_s / tuning.consistency_s, 1.0);
         let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
         if self.inconsistency > tuning.valid_inconsistency {
             self.verified_s = 0.0;
         }
-        self.squared_then_inverse = squared;
         Phase::Watch
     }
 
@@ -194,8 +198,7 @@ impl Heading {
         let measured = square(mx) + square(my) + square(mz);
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
-        let squared_innovation = self.squared_then_inverse;
-        let contradiction = squared_innovation - tuning.restart_ratio * square(length);
+        let contradiction = self.squared_innovation_ut2() - tuning.restart_ratio * square(length);
         let share = smaller(duration_s / tuning.restart_average_s, 1.0);
         self.contradiction += share * (contradiction - self.contradiction);
         let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
@@ -266,10 +269,10 @@ impl Heading {
             + wz * own(IRON + 2)
             + row.tilt[0] * to_north
             + row.tilt[1] * to_east
-            + self.expected_then_noise_ut2;
-        self.squared_then_inverse = 1.0 / variance;
+            + self.noise_ut2;
+        self.inverse_variance = 1.0 / variance;
         let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
-        let gain = innovation * self.squared_then_inverse;
+        let gain = innovation * self.inverse_variance;
         for (state, entry) in self.state.iter_mut().zip(&self.own_column) {
             *state += gain * entry;
         }
@@ -286,7 +289,7 @@ impl Heading {
             _ => 3,
         };
         for (row, own) in self.own_column.iter().enumerate().skip(start).take(rows) {
-            let gain = own * self.squared_then_inverse;
+            let gain = own * self.inverse_variance;
             self.covariance.subtract(row, gain, &self.own_column);
             self.covariance
                 .subtract_cross(row, gain, &self.cross_column);

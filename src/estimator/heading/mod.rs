@@ -151,12 +151,14 @@ pub struct Heading {
     is_iron_known: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
-    /// Scratch of the step. From `Phase::Gate` on: squared innovation, µT². From
-    /// `Phase::CorrectStates` on: inverse of the innovation variance of an axis.
-    squared_then_inverse: f32,
-    /// Scratch of the step. From `Phase::Expect` on: expected squared innovation of all axes
-    /// without noise. From `Phase::Gate` on: variance of an axis's noise.
-    expected_then_noise_ut2: f32,
+    /// Scratch of the step, from `Phase::Expect` to `Phase::Gate`: expected squared innovation of
+    /// all axes without noise.
+    expected_ut2: f32,
+    /// Scratch of the step, from `Phase::Gate` on: variance of an axis's noise.
+    noise_ut2: f32,
+    /// Scratch of the step, from `Phase::CorrectStates` on: inverse of the innovation variance of an
+    /// axis, 1/µT².
+    inverse_variance: f32,
     /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
     /// Recent excess of the squared innovation, µT².
@@ -223,10 +225,11 @@ impl Heading {
             reading_age_s: 0.0,
             cross_column: [0.0; ERROR_STATES],
             own_column: [0.0; STATES],
-            squared_then_inverse: 0.0,
+            inverse_variance: 0.0,
             motion: 0.0,
             excess: 0.0,
-            expected_then_noise_ut2: 0.0,
+            expected_ut2: 0.0,
+            noise_ut2: 0.0,
             contradiction: 0.0,
             inconsistency: 0.0,
             contradicted_s: 0.0,
@@ -340,8 +343,9 @@ impl Heading {
         visitor.f32s(&mut self.cross_column);
         visitor.f32s(&mut self.own_column);
         for field in [
-            &mut self.squared_then_inverse,
-            &mut self.expected_then_noise_ut2,
+            &mut self.inverse_variance,
+            &mut self.expected_ut2,
+            &mut self.noise_ut2,
             &mut self.motion,
             &mut self.excess,
             &mut self.contradiction,

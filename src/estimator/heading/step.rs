@@ -308,7 +308,7 @@ impl Heading {
         if place + 1 < STATES {
             Phase::Forget(state + 1)
         } else if self.closed().has_readings() {
-            self.expected_then_noise_ut2 = 0.0;
+            self.expected_ut2 = 0.0;
             Phase::Expect(0)
         } else {
             Phase::Check

@@ -38,11 +38,11 @@ pub struct Tuning {
     pub noise_per_rate: f32,
     /// Share of the expected squared innovation from which on the rest is a disturbance.
     pub gate: f32,
-    /// Noise per excess of the squared innovation.
+    /// Variance of the noise per excess of the squared innovation, both in µT².
     pub excess_to_noise: f32,
     /// Time for which an excess opens the models, s.
     pub excess_s: f32,
-    /// Variance of the local deviation per excess.
+    /// Variance of the local deviation per excess, both in µT².
     pub excess_to_deviation: f32,
     /// Noise of the hard iron per excess, 1/s: a magnet may have been attached.
     pub excess_to_hard_iron: f32,
