@@ -303,15 +303,16 @@ impl fmt::Display for Schedule {
 pub const FIRST_FAULT_S: f64 = 1.7;
 
 /// Settings of the sensor that a drawn flip changes: register, value with the settings by default,
-/// and the bits that the firmware sets (MPU-6000 and MPU-6050 register map, sections 4.2 to 4.28).
+/// and the bits that the firmware sets and the sensor keeps (MPU-6000 and MPU-6050 register map,
+/// sections 4.2 to 4.28).
 const SETTINGS: [(u8, u8, u8); 7] = [
     (0x19, 0x00, 0xFF),
     (0x1A, 0x01, 0x07),
     (0x1B, 0x18, 0xF8),
     (0x1C, 0x18, 0xF8),
-    (0x37, 0x12, 0xFF),
-    (0x38, 0x01, 0xFF),
-    (0x6B, 0x01, 0xFF),
+    (0x37, 0x12, 0xFE),
+    (0x38, 0x01, 0x19),
+    (0x6B, 0x01, 0x6F),
 ];
 
 /// A whole number below `count`.
@@ -510,6 +511,22 @@ mod tests {
                     "{text}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn a_drawn_flip_changes_bits_that_the_sensor_keeps() {
+        use aplomb_models::sensor::registers::writable_bits;
+
+        for seed in 0..2000 {
+            let schedule = Schedule::of_kind("register-flip", seed).unwrap();
+            let FaultKind::RegisterFlip(register, value) = schedule.faults[0].kind else {
+                panic!("{schedule}")
+            };
+            let mut settings = SETTINGS.iter();
+            let (_, setting, _) = settings.find(|(other, ..)| *other == register).unwrap();
+            let kept = writable_bits(register);
+            assert_ne!(value & kept, setting & kept, "{seed}: {schedule}");
         }
     }
 
