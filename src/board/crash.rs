@@ -33,8 +33,10 @@ global_asm!(
     note_and_reset = sym note_and_reset,
 );
 
-/// CFSR: stacking failed, by the memory protection unit or the bus (PM0214, 4.4.15).
-const STACKING_FAILED: u32 = 1 << 4 | 1 << 12;
+/// CFSR: an access to the guard, or stacking that failed, by the memory protection unit or the bus
+/// (PM0214, 4.4.15). The first comes alone if a push crosses the guard, and the smaller frame of the
+/// fault does not.
+const STACK_OVERFLOWED: u32 = 1 << 1 | 1 << 4 | 1 << 12;
 /// Index of the program counter in the frame that the processor pushes (PM0214, 2.3.7).
 const PROGRAM_COUNTER: usize = 6;
 
@@ -44,7 +46,7 @@ extern "C" fn note_and_reset(frame: *const u32) -> ! {
     let bottom = &raw const _stack_end;
     // SAFETY: reading the fault status has no side effect, and no other code runs any more.
     let status = unsafe { (*SCB::PTR).cfsr.read() };
-    let is_overflow = frame < bottom || status & STACKING_FAILED != 0;
+    let is_overflow = frame < bottom || status & STACK_OVERFLOWED != 0;
     let (class, address) = if is_overflow {
         (FaultClass::StackOverflow, 0)
     } else {
