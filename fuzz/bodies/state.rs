@@ -13,9 +13,6 @@ use aplomb::units::MagneticField;
 /// Bytes of a burst, its distance from the last one in ms, and the board's flags.
 const STEP: usize = 14 + 2;
 
-/// Limit of bias and σ, rad/s and rad: twice the sensor's range.
-const USUAL: f32 = 70.0;
-
 /// Changes bytes of a state, each by its offset and bits, and uses the rest as bursts.
 ///
 /// # Panics
@@ -113,7 +110,7 @@ fn written(pipeline: &mut CompassPipeline) -> Vec<u8> {
     bytes
 }
 
-/// State of an earlier run, as kept in RAM.
+/// Continues from any state of an earlier run, damaged ones included.
 fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 60]) {
     let [
         w,
@@ -132,17 +129,8 @@ fn resumed(pipeline: &mut Pipeline, bytes: &[u8; 60]) {
         right,
         velocity,
     ] = std::array::from_fn(|place| f32::from_le_bytes(bytes.as_chunks().0[place]));
-    let attitude = Quaternion::new(w, x, y, z);
-    // The firmware keeps the state of a filter, and checks that the attitude is a rotation.
-    let is_usual = [tilt, p, q, r, dp, dq, dr, bias, forward, right, velocity]
-        .iter()
-        .all(|number| number.abs() <= USUAL);
-    let is_rotation = (attitude.dot(attitude) - 1.0).abs() < 0.01;
-    if !is_usual || !is_rotation {
-        return;
-    }
     let start = WarmStart {
-        attitude: attitude.normalize(),
+        attitude: Quaternion::new(w, x, y, z),
         tilt_sigma_rad: tilt,
         bias_rad_s: Vector3::new(p, q, r),
         bias_change_rad_s: Vector3::new(dp, dq, dr),

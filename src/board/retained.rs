@@ -10,7 +10,6 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use stm32f4xx_hal::pac::rcc;
 
-use crate::attitude::{Quaternion, Vector3};
 use crate::estimator::kalman::{PAUSE_RATE_RAD_S, WarmStart};
 use crate::fault::{FaultClass, ResetCause, report};
 
@@ -294,51 +293,11 @@ impl Words {
     }
 
     fn write(&self, number: u32, start: &WarmStart) {
-        let WarmStart {
-            attitude: q,
-            tilt_sigma_rad,
-            bias_rad_s: b,
-            bias_change_rad_s: c,
-            bias_sigma_rad_s,
-            accelerometer_bias_m_s2: [forward, right],
-            squared_velocity_m2_s2,
-        } = start;
         // A half-written copy fails its check, because its sum is written last.
-        let [
-            pw,
-            px,
-            py,
-            pz,
-            pbx,
-            pby,
-            pbz,
-            pcx,
-            pcy,
-            pcz,
-            tilt,
-            bias,
-            pforward,
-            pright,
-            velocity,
-            place,
-            _,
-        ] = &self.0;
-        let store = |place: &AtomicU32, value: f32| place.store(value.to_bits(), Ordering::Relaxed);
-        store(pw, q.w);
-        store(px, q.x);
-        store(py, q.y);
-        store(pz, q.z);
-        store(pbx, b.x);
-        store(pby, b.y);
-        store(pbz, b.z);
-        store(pcx, c.x);
-        store(pcy, c.y);
-        store(pcz, c.z);
-        store(tilt, *tilt_sigma_rad);
-        store(bias, *bias_sigma_rad_s);
-        store(pforward, *forward);
-        store(pright, *right);
-        store(velocity, *squared_velocity_m2_s2);
+        let [places @ .., place, _] = &self.0;
+        for (place, value) in places.iter().zip(start.values()) {
+            place.store(value.to_bits(), Ordering::Relaxed);
+        }
         place.store(number, Ordering::Relaxed);
         let [.., sum] = &self.0;
         sum.store(self.sum(), Ordering::Release);
@@ -352,35 +311,10 @@ impl Words {
             return None;
         }
         let [words @ .., number, _] = &self.0;
-        let numbers = words
+        let values = words
             .each_ref()
             .map(|word| f32::from_bits(word.load(Ordering::Relaxed)));
-        let [
-            w,
-            x,
-            y,
-            z,
-            bx,
-            by,
-            bz,
-            cx,
-            cy,
-            cz,
-            tilt,
-            bias,
-            forward,
-            right,
-            velocity,
-        ] = numbers;
-        let start = WarmStart {
-            attitude: Quaternion::new(w, x, y, z),
-            tilt_sigma_rad: tilt,
-            bias_rad_s: Vector3::new(bx, by, bz),
-            bias_change_rad_s: Vector3::new(cx, cy, cz),
-            bias_sigma_rad_s: bias,
-            accelerometer_bias_m_s2: [forward, right],
-            squared_velocity_m2_s2: velocity,
-        };
+        let start = WarmStart::from_values(&values);
         Some((number.load(Ordering::Relaxed), start))
     }
 }

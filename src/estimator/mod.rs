@@ -178,9 +178,16 @@ impl Estimator {
     /// In motion, or while armed, σ of the tilt is then at least 6.4°, and larger the more the
     /// force differs from one g. That ends with a rest, or when motion has confirmed the bias,
     /// after some 20 s.
-    pub fn resume(&mut self, start: &WarmStart, t_us: u64) {
-        self.gate.last_t_us = Some(t_us);
-        self.filter.resume(start);
+    ///
+    /// Returns false, and changes nothing, if no filter can have given that state: the memory that
+    /// kept it was damaged.
+    pub fn resume(&mut self, start: &WarmStart, t_us: u64) -> bool {
+        let is_plausible = start.is_plausible();
+        if is_plausible {
+            self.gate.last_t_us = Some(t_us);
+            self.filter.resume(start);
+        }
+        is_plausible
     }
 
     /// Visits every field.

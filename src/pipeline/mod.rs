@@ -313,8 +313,9 @@ impl Pipeline {
     }
 
     /// Continues from an earlier run, whose σ belong to `t_us` on the clock of the bursts, in µs.
-    /// Call it before the first burst, which comes later. See [`Estimator::resume`].
-    pub fn resume(&mut self, start: &WarmStart, t_us: u64) {
+    /// Call it before the first burst, which comes later. Returns false, and changes nothing, if
+    /// the state is damaged. See [`Estimator::resume`].
+    pub fn resume(&mut self, start: &WarmStart, t_us: u64) -> bool {
         let [forward, right] = start.accelerometer_bias_m_s2;
         let removed = self.alignment.accelerometer_offset_m_s2();
         let start = WarmStart {
@@ -322,10 +323,13 @@ impl Pipeline {
             accelerometer_bias_m_s2: [forward - removed.x, right - removed.y],
             ..*start
         };
-        self.estimator.resume(&start, t_us);
-        // The bias already belongs to the present temperature.
-        self.samples_to_temperature = TEMPERATURE_SAMPLES;
-        self.thermal_drift.leave_model();
+        let is_resumed = self.estimator.resume(&start, t_us);
+        if is_resumed {
+            // The bias already belongs to the present temperature.
+            self.samples_to_temperature = TEMPERATURE_SAMPLES;
+            self.thermal_drift.leave_model();
+        }
+        is_resumed
     }
 
     /// Returns the state from which a later run can continue, with its present σ; `None` until a

@@ -440,7 +440,7 @@ fn a_kept_offset_stays_when_the_model_begins() {
         accelerometer_bias_m_s2: [0.0; 2],
         squared_velocity_m2_s2: 0.0,
     };
-    let offset = offset_with_model(|_| 45.0, |pipeline| pipeline.resume(&start, 0));
+    let offset = offset_with_model(|_| 45.0, |pipeline| assert!(pipeline.resume(&start, 0)));
     assert!((offset - 1.0).abs() < 0.1, "{offset}");
 }
 
@@ -1144,6 +1144,93 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     let second = update(&mut pipeline, &noisy(6_000, LEVEL));
     assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
     assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
+}
+
+fn multiple(Quaternion { w, x, y, z }: Quaternion, factor: f32) -> Quaternion {
+    Quaternion::new(factor * w, factor * x, factor * y, factor * z)
+}
+
+/// Memory that was cleared, or that kept something else, is no state of a filter.
+#[test]
+fn a_damaged_state_of_an_earlier_run_is_refused() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    let fresh = Pipeline::new(&settings());
+    let nan = f32::NAN;
+    type Damage = fn(&mut WarmStart, f32);
+    let damages: [(Damage, &[f32]); 9] = [
+        (
+            |start, value| start.attitude = multiple(start.attitude, value),
+            &[nan, 0.0, 0.3, 2.0],
+        ),
+        (
+            |start, value| start.tilt_sigma_rad = value,
+            &[nan, 0.0, -0.1],
+        ),
+        (
+            |start, value| start.bias_rad_s.y = value,
+            &[nan, f32::INFINITY, 10.0],
+        ),
+        (
+            |start, value| start.bias_change_rad_s.z = value,
+            &[nan, -10.0],
+        ),
+        (
+            |start, value| start.bias_sigma_rad_s = value,
+            &[nan, 0.0, f32::INFINITY],
+        ),
+        (
+            |start, value| start.accelerometer_bias_m_s2[0] = value,
+            &[nan, 100.0],
+        ),
+        (
+            |start, value| start.accelerometer_bias_m_s2[1] = value,
+            &[nan, -100.0],
+        ),
+        (
+            |start, value| start.squared_velocity_m2_s2 = value,
+            &[nan, -1.0, f32::INFINITY],
+        ),
+        (|start, value| start.attitude.w += value, &[nan, 0.5]),
+    ];
+    for (place, (damage, values)) in damages.into_iter().enumerate() {
+        for &value in values {
+            let mut start = known;
+            damage(&mut start, value);
+            let mut pipeline = fresh;
+            assert!(!pipeline.resume(&start, 4_000), "{place}: {value}");
+            assert!(pipeline == fresh, "{place}: {value}");
+            assert_eq!(WarmStart::from_bytes(&start.to_bytes()), None);
+        }
+    }
+    assert_eq!(WarmStart::from_bytes(&known.to_bytes()), Some(known));
+    let mut pipeline = fresh;
+    assert!(pipeline.resume(&known, 4_000));
+}
+
+/// A run may have lost its tilt, and still know its bias.
+#[test]
+fn a_kept_state_without_a_tilt_finds_it_again() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    let start = WarmStart {
+        tilt_sigma_rad: f32::INFINITY,
+        ..known
+    };
+    let mut pipeline = Pipeline::new(&settings());
+    assert!(pipeline.resume(&start, 4_000));
+    for millisecond in 5..3_000 {
+        let snapshot = update(&mut pipeline, &noisy(1_000 * millisecond, LEVEL));
+        let is_valid = snapshot.flags.contains(Flags::VALID);
+        assert!(
+            is_valid || millisecond < 300,
+            "{millisecond}: {}",
+            snapshot.flags
+        );
+        assert!(snapshot.attitude.dot(snapshot.attitude).is_finite());
+    }
 }
 
 /// Without samples the state to continue from grows old, as the snapshots do.

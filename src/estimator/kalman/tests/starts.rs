@@ -316,14 +316,14 @@ fn worst_in_an_acceleration(start: impl FnOnce(&mut Estimator, &World)) -> [f32;
 #[test]
 fn an_acceleration_from_a_start_on_is_not_taken_for_tilt() {
     let [warm, warm_covariance] =
-        worst_in_an_acceleration(|it, world| it.resume(&warm_start(world), world.t_us));
+        worst_in_an_acceleration(|it, world| assert!(it.resume(&warm_start(world), world.t_us)));
     let [cold, _] = worst_in_an_acceleration(|it, world| {
         it.filter_mut().set_bias(world.bias_rad_s, radians(0.2));
     });
     assert!(warm < 1.0 && cold < 1.0, "{warm} {cold}");
     // In place it is taken for tilt. Without a known bias no attitude is `VALID`.
     let [_, in_place] = worst_in_an_acceleration(|it, world| {
-        it.resume(&warm_start(world), world.t_us);
+        assert!(it.resume(&warm_start(world), world.t_us));
         it.filter_mut().recent = RecentVelocity::NONE;
     });
     assert!(
