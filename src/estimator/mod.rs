@@ -70,10 +70,10 @@ const LARGEST_CLOCK_ERROR: f32 = 0.2;
 /// Weight of one period in the average of the clock's unit.
 const CLOCK_SHARE: f32 = 1.0 / 64.0;
 
-/// From these limits on a sample is no measurement: no sensor of this family reaches a tenth of
-/// them.
-const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f32 = 10_000.0;
-const IMPLAUSIBLE_RATE_RAD_S: f32 = 1_000.0;
+/// From these magnitudes on a sample is no measurement. The largest ranges of this family, ±16 g
+/// and ±2000 °/s, on all axes at once are 272 m/s² and 60 rad/s.
+const IMPLAUSIBLE_SPECIFIC_FORCE_M_S2: f32 = 400.0;
+const IMPLAUSIBLE_RATE_RAD_S: f32 = 90.0;
 
 /// Filter with its gate. The attitude stays a finite rotation for any input, and good samples
 /// restore it.

@@ -117,7 +117,7 @@ fn a_rejected_sample_changes_nothing() {
         let rate = Vector3::new(0.1, 0.2, 0.3);
         let good = estimator.update(&sample(1_000, pose, rate));
         let before = estimator;
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2.0e4, f32::MIN] {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 401.0, f32::MIN] {
             let mut wrong_force = sample(2_000, pose, rate);
             wrong_force.specific_force_m_s2.y = bad;
             let mut wrong_rate = sample(2_000, pose, rate);
@@ -130,6 +130,14 @@ fn a_rejected_sample_changes_nothing() {
                 assert_eq!(estimator, before);
             }
         }
+        // Every axis at full scale, ±16 g and ±2000 °/s.
+        let full_scale = Sample {
+            specific_force_m_s2: Vector3::new(157.0, -157.0, 157.0),
+            angular_rate_rad_s: Vector3::new(-34.9, 34.9, 34.9),
+            ..sample(2_000, pose, rate)
+        };
+        let estimate = estimator.update(&full_scale);
+        assert!(!estimate.issues.contains(Issues::REJECTED));
     }
 }
 
