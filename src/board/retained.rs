@@ -233,7 +233,7 @@ pub fn keep(start: Option<&WarmStart>) {
     };
     let newest = NEWEST.load(Ordering::Relaxed);
     let next = newest ^ 1;
-    let number = copy(newest).number().wrapping_add(1);
+    let number = copy(newest).number().unwrap_or(0).wrapping_add(1);
     copy(next).write(number, start);
     NEWEST.store(next, Ordering::Relaxed);
 }
@@ -242,9 +242,11 @@ pub fn keep(start: Option<&WarmStart>) {
 /// state.
 #[inline(never)]
 pub fn kept() -> Option<WarmStart> {
-    let copies = WARM_STARTS.iter().filter_map(Words::read);
-    let newest = copies.max_by_key(|(number, _)| *number);
-    newest.map(|(_, start)| start)
+    let [first, second] = &WARM_STARTS;
+    // A damaged copy has no number, and `None` is less than any.
+    let is_first_newest = first.number() > second.number();
+    let newest = if is_first_newest { first } else { second };
+    newest.number().map(|_| newest.start())
 }
 
 /// Returns the state with σ inflated for its age at a reset.
@@ -279,9 +281,12 @@ impl Words {
         sum.store(!self.sum(), Ordering::Relaxed);
     }
 
-    fn number(&self) -> u32 {
-        let [.., number, _] = &self.0;
-        number.load(Ordering::Relaxed)
+    /// Returns the sequence number; `None` if the copy is damaged.
+    #[inline(never)]
+    fn number(&self) -> Option<u32> {
+        let [.., number, sum] = &self.0;
+        let is_whole = sum.load(Ordering::Acquire) == self.sum();
+        is_whole.then(|| number.load(Ordering::Relaxed))
     }
 
     #[inline(never)]
@@ -303,18 +308,12 @@ impl Words {
         sum.store(self.sum(), Ordering::Release);
     }
 
-    /// Returns the number and the contents.
-    #[inline(never)]
-    fn read(&self) -> Option<(u32, WarmStart)> {
-        let [.., sum] = &self.0;
-        if sum.load(Ordering::Acquire) != self.sum() {
-            return None;
-        }
-        let [words @ .., number, _] = &self.0;
+    /// Returns the contents.
+    fn start(&self) -> WarmStart {
+        let [words @ .., _, _] = &self.0;
         let values = words
             .each_ref()
             .map(|word| f32::from_bits(word.load(Ordering::Relaxed)));
-        let start = WarmStart::from_values(&values);
-        Some((number.load(Ordering::Relaxed), start))
+        WarmStart::from_values(&values)
     }
 }

@@ -52,6 +52,8 @@ pub use compass::{CompassPipeline, CompassReading, compass_knowledge};
 pub use settings::Settings;
 pub use snapshot::Snapshot;
 
+use core::f32::consts::PI;
+
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, WarmStart};
@@ -344,7 +346,8 @@ impl Pipeline {
         let accelerometer = removed + filter.accelerometer_bias_m_s2();
         Some(WarmStart {
             attitude: latest.attitude,
-            tilt_sigma_rad: latest.tilt_sigma_rad(),
+            // Infinite without a tilt.
+            tilt_sigma_rad: latest.tilt_sigma_rad().min(PI),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
             bias_change_rad_s: filter.bias_change_rad_s(),
             bias_sigma_rad_s,

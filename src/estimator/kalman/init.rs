@@ -102,7 +102,7 @@ impl Kalman {
 
     /// Continues from an earlier run, instead of taking the tilt from the first sample.
     pub(crate) fn resume(&mut self, start: &WarmStart) {
-        self.nominal.attitude = start.attitude.normalize();
+        self.nominal.attitude = start.attitude;
         self.bias_prior.reference_rad_s = start.bias_rad_s - start.bias_change_rad_s;
         self.start_from_attitude(
             start.bias_rad_s,

@@ -6,29 +6,10 @@ use crate::attitude::{Quaternion, Vector3};
 
 /// Number of values of a [`WarmStart`].
 const VALUES: usize = 15;
-/// Largest plausible magnitude of each value, in the order of [`WarmStart::values`]: elements of a
-/// rotation; bias and its change, rad/s (the zero-rate output is 20 °/s at most, MPU-6000 and
-/// MPU-6050 product specification, section 6.1); σ of the tilt, which is infinite without a tilt; σ
-/// of the bias; bias of the accelerometer, m/s²; squared velocity, (m/s)².
-const LARGEST: [f32; VALUES] = [
-    1.01,
-    1.01,
-    1.01,
-    1.01,
-    4.0,
-    4.0,
-    4.0,
-    4.0,
-    4.0,
-    4.0,
-    f32::INFINITY,
-    4.0,
-    20.0,
-    20.0,
-    1.0e6,
-];
 /// Largest error of the squared length of the attitude's quaternion.
-const LARGEST_LENGTH_ERROR: f32 = 0.01;
+const LARGEST_LENGTH_ERROR: f32 = 1.0e-3;
+/// Largest magnitude of a value, in its unit: that of the squared velocity at 1 km/s.
+const LARGEST: f32 = 1.0e6;
 /// Layout of the byte form. A change of [`WarmStart::values`] needs another number.
 const LAYOUT: u8 = 1;
 
@@ -110,6 +91,7 @@ impl WarmStart {
     }
 
     /// Returns all values, in the order of the byte form.
+    #[inline(never)]
     pub(crate) fn values(&self) -> [f32; VALUES] {
         let Self {
             attitude: q,
@@ -140,6 +122,7 @@ impl WarmStart {
     }
 
     /// Returns the state with these [`values`](Self::values).
+    #[inline(never)]
     pub(crate) fn from_values(values: &[f32; VALUES]) -> Self {
         let [
             w,
@@ -170,16 +153,14 @@ impl WarmStart {
     }
 
     /// Returns whether a filter can have given this state: the attitude is a rotation, each σ is
-    /// above zero, and all values are of a usual size.
+    /// above zero, and no value is NaN, infinite or absurdly large.
     pub fn is_plausible(&self) -> bool {
         let length_error = self.attitude.dot(self.attitude) - 1.0;
-        let mut values = self.values().into_iter().zip(LARGEST);
         // A NaN fails every comparison.
         length_error.abs() < LARGEST_LENGTH_ERROR
             && self.tilt_sigma_rad > 0.0
             && self.bias_sigma_rad_s > 0.0
-            && self.squared_velocity_m2_s2 >= 0.0
-            && values.all(|(value, largest)| value.abs() <= largest)
+            && self.values().iter().all(|value| value.abs() < LARGEST)
     }
 }
 
