@@ -23,7 +23,7 @@
 use super::confirmation::Confirmation;
 use super::propagation::Interval;
 use super::recent_velocity::RecentVelocity;
-use super::recovery::{ForceSum, is_gravity_up};
+use super::recovery::ForceSum;
 use super::rest_detector::RestDetector;
 use super::tilt_variance::REPORTED_VARIANCE_SCALE;
 use super::unseen::ANY_TURN_RAD2;
@@ -210,19 +210,19 @@ impl Kalman {
         self.tilt = Tilt::Known;
     }
 
-    /// Takes the tilt from this mean force, earth axes, instead of that of a single sample. While
+    /// Takes the tilt from this mean force instead of that of a single sample. While
     /// it is not about one g, the vehicle shakes or falls, and a longer mean follows. In the end
     /// the next sample sets the tilt again.
-    pub(super) fn confirm_start(&mut self, force: Vector3) {
+    pub(super) fn confirm_start(&mut self, force: &ForceSum) {
         self.is_step_pending = false;
         self.is_tilt_checked = false;
-        if is_gravity_up(force).is_none() {
-            if self.interval.duration_s > LONGEST_FIRST_MEAN_S {
+        if force.is_gravity_up().is_none() {
+            if force.duration_s > LONGEST_FIRST_MEAN_S {
                 self.tilt = Tilt::Lost;
             }
             return;
         }
-        self.level(force);
+        self.level(force.integral_m_s);
         let unseen_tilt_rad2 = self.interval.unseen_tilt_rad2;
         self.interval = Interval::EMPTY;
         self.interval.unseen_tilt_rad2 = unseen_tilt_rad2;

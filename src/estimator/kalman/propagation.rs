@@ -4,6 +4,7 @@
 //! it, and these sums accumulate with it. They propagate the covariance over the whole interval at
 //! once.
 
+use super::recovery::ForceSum;
 use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 
@@ -127,10 +128,19 @@ impl Interval {
         unseen_velocity_m2_s2: 0.0,
     };
 
-    /// Returns the integral of the specific force without bias, m/s: north, east, down.
-    pub(super) fn force_integral_ned_m_s(&self) -> Vector3 {
+    /// Returns the sum of the specific force without bias.
+    pub(super) fn force_sum(&self) -> ForceSum {
         let [north, east] = self.velocity_change_m_s;
-        Vector3::new(north, east, self.transition.down_m_s)
+        ForceSum {
+            integral_m_s: Vector3::new(north, east, self.transition.down_m_s),
+            duration_s: self.duration_s,
+        }
+    }
+
+    /// Returns whether the mean force may not be the true one: readings were clipped, or a pause
+    /// hid them.
+    pub(super) fn hides_force(&self) -> bool {
+        self.unseen_velocity_m2_s2 > 0.0
     }
 
     /// Visits every field.

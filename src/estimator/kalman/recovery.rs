@@ -73,32 +73,36 @@ impl Kalman {
     /// give 1.4 g. But a vehicle that dashes and falls may have such a mean, and an aeroplane that
     /// pushes over. So each interval has to contradict a tilt that is not ambiguous, for longer
     /// than a push-over. Shaking hides gravity from single intervals, so the mean alone counts
-    /// while the tilt is ambiguous, as after a start in motion.
+    /// while the tilt is ambiguous, as after a start in motion. Intervals with a hidden force do
+    /// not count.
     #[inline(never)]
     pub(super) fn check_tilt(&mut self) {
-        let duration_s = self.interval.duration_s;
-        let force_integral_m_s = self.interval.force_integral_ned_m_s();
-        let force = force_integral_m_s.scale(1.0 / duration_s);
+        let latest = self.interval.force_sum();
         if self.is_from_one_sample {
-            self.confirm_start(force);
+            self.confirm_start(&latest);
+            return;
+        }
+        if self.interval.hides_force() {
             return;
         }
         let is_ambiguous = self.step.tilt_variance_rad2() > square(AMBIGUOUS_TILT_RAD);
         let sum = &mut self.force_sum;
-        sum.integral_m_s = sum.integral_m_s + force_integral_m_s;
-        sum.duration_s += duration_s;
-        let mean = sum.integral_m_s.scale(1.0 / sum.duration_s);
-        let is_contradicted = is_gravity_down(mean) && (is_ambiguous || is_gravity_down(force));
+        sum.integral_m_s = sum.integral_m_s + latest.integral_m_s;
+        sum.duration_s += latest.duration_s;
+        let is_contradicted = sum.is_gravity_down() && (is_ambiguous || latest.is_gravity_down());
         let is_over = if is_ambiguous {
             sum.duration_s > CONTRADICTION_S
         } else {
             !is_contradicted || sum.duration_s > LONG_CONTRADICTION_S
         };
         if is_over {
-            *sum = ForceSum::NONE;
             if is_contradicted {
-                self.level(mean);
+                let integral_m_s = sum.integral_m_s;
+                self.level(integral_m_s);
+                // Ends the sum, too.
                 self.reset_motion(square(self.tuning.start_tilt_rad));
+            } else {
+                *sum = ForceSum::NONE;
             }
         }
     }
@@ -147,8 +151,8 @@ impl Kalman {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct ForceSum {
     /// Integral of the force, earth axes.
-    integral_m_s: Vector3,
-    duration_s: f32,
+    pub(super) integral_m_s: Vector3,
+    pub(super) duration_s: f32,
 }
 
 impl ForceSum {
@@ -156,6 +160,25 @@ impl ForceSum {
         integral_m_s: Vector3::ZERO,
         duration_s: 0.0,
     };
+
+    /// Returns whether the mean is about one g, and over 45° from up.
+    fn is_gravity_down(&self) -> bool {
+        self.is_gravity_up() == Some(false)
+    }
+
+    /// Returns whether the mean is within 45° of up; `None` if it is not about one g.
+    #[inline(never)]
+    pub(super) fn is_gravity_up(&self) -> Option<bool> {
+        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
+        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
+        let force = self.integral_m_s;
+        let squared = force.dot(force);
+        // Within 45°, z is negative, and its square more than half of the whole.
+        let is_up = -2.0 * force.z * force.z.abs() > squared;
+        (square(LEAST * self.duration_s)..square(GREATEST * self.duration_s))
+            .contains(&squared)
+            .then_some(is_up)
+    }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let Self {
@@ -165,25 +188,6 @@ impl ForceSum {
         visitor.vector(integral_m_s);
         visitor.f32(duration_s);
     }
-}
-
-/// Returns whether this specific force, m/s² in earth axes, is about one g, and over 45° from up.
-fn is_gravity_down(force: Vector3) -> bool {
-    is_gravity_up(force) == Some(false)
-}
-
-/// Returns whether this specific force, m/s² in earth axes, is within 45° of up; `None` if it is
-/// not about one g.
-#[inline(never)]
-pub(super) fn is_gravity_up(force: Vector3) -> Option<bool> {
-    const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
-    const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
-    let squared = force.dot(force);
-    // Within 45°, z is negative, and its square more than half of the whole.
-    let is_up = -2.0 * force.z * force.z.abs() > squared;
-    (square(LEAST)..square(GREATEST))
-        .contains(&squared)
-        .then_some(is_up)
 }
 
 /// Returns the shortest rotation that turns this nonzero direction up, to (0, 0, −1), as a

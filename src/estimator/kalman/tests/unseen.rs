@@ -158,6 +158,24 @@ fn a_force_at_full_scale_corrects_no_tilt() {
     }
 }
 
+/// In a loop the force exceeds full scale, and the mean of the clipped readings may point down.
+#[test]
+fn a_clipped_force_sets_no_tilt() {
+    let mut world = World::at_rest(from_degrees(20.0, 10.0, 0.0));
+    let mut estimator = estimator();
+    world.acceleration_m_s2 = Vector3::new(2.0, -1.0, 0.0);
+    world.run(&mut estimator, 200);
+    world.acceleration_m_s2 = Vector3::ZERO;
+    for _ in 0..3_000 {
+        let mut sample = world.sample(1_000);
+        sample.specific_force_m_s2 = -sample.specific_force_m_s2;
+        sample.is_force_saturated = true;
+        let estimate = estimator.update(&sample);
+        let error = world.tilt_error_degrees(estimate.attitude);
+        assert!(error < 45.0, "{error}");
+    }
+}
+
 /// Runs an armed vehicle until a second after a pause.
 fn armed_with_a_pause(pause_us: u64) -> (World, Estimator) {
     let mut world = World::at_rest(Quaternion::IDENTITY);
