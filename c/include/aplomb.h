@@ -124,6 +124,11 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_LEVEL = 15,
   // The sensor's delay exceeds a second.
   APLOMB_STATUS_WRONG_DELAY = 16,
+  // The temperature model gives an offset above 41 degrees per second. It is in rad/s.
+  APLOMB_STATUS_WRONG_TEMPERATURE_OFFSET = 17,
+  // The temperature model's reference is not between its coldest and its warmest temperature, or
+  // no part can report one of them.
+  APLOMB_STATUS_WRONG_TEMPERATURE_RANGE = 18,
 } AplombStatus;
 
 // Knowledge of the accelerometer's offset.

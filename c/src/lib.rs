@@ -131,6 +131,11 @@ pub enum AplombStatus {
     WrongLevel = 15,
     /// The sensor's delay exceeds a second.
     WrongDelay = 16,
+    /// The temperature model gives an offset above 41 degrees per second. It is in rad/s.
+    WrongTemperatureOffset = 17,
+    /// The temperature model's reference is not between its coldest and its warmest temperature, or
+    /// no part can report one of them.
+    WrongTemperatureRange = 18,
 }
 
 /// Register to write to the sensor, and the wait after it.
@@ -268,7 +273,7 @@ pub extern "C" fn aplomb_version() -> *const c_char {
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
-    const TEXTS: [&CStr; 17] = [
+    const TEXTS: [&CStr; 19] = [
         c"done",
         c"a pointer is null",
         c"the memory holds no pipeline: call aplomb_init first",
@@ -286,6 +291,8 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the gyroscope's matrix is more than 0.1 from the identity: set all nine numbers",
         c"the level is no unit quaternion, or tilts by more than 15 degrees",
         c"the sensor's delay exceeds a second, 1000000 microseconds",
+        c"the temperature model gives an offset above 41 degrees per second: it is in rad/s",
+        c"the temperature model's reference is not between its ends, or no part reports one of them",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()

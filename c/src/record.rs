@@ -200,6 +200,8 @@ const fn status_of(error: ImplausibleCalibration) -> AplombStatus {
     match error {
         ImplausibleCalibration::Accelerometer => AplombStatus::WrongAccelerometer,
         ImplausibleCalibration::GyroscopeOffset => AplombStatus::WrongGyroscopeOffset,
+        ImplausibleCalibration::TemperatureModelOffset => AplombStatus::WrongTemperatureOffset,
+        ImplausibleCalibration::TemperatureModelRange => AplombStatus::WrongTemperatureRange,
         ImplausibleCalibration::GyroscopeMatrix => AplombStatus::WrongGyroscopeMatrix,
         ImplausibleCalibration::Level => AplombStatus::WrongLevel,
         // The enum may grow.

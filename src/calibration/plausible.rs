@@ -1,10 +1,13 @@
 //! Limits of a calibration: no working sensor exceeds them. The fits keep them too.
 
 use core::fmt;
+use core::ops::RangeInclusive;
 
 use super::level;
 use super::matrix::Matrix3;
-use super::model::{AccelerometerCorrection, Calibration};
+use super::model::{
+    AccelerometerCorrection, Calibration, TRUSTED_BEYOND_CELSIUS, TemperatureModel,
+};
 use super::stationary::MAX_ZERO_RATE_RAD_S;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
@@ -15,6 +18,8 @@ const MAX_OFFSET_M_S2: f32 = 0.2 * STANDARD_GRAVITY_M_S2;
 /// Largest scale error or cross-axis term of an accelerometer (ibidem) or a gyroscope (§6.1): 3 %
 /// and 2 %, and a margin.
 const MAX_MATRIX_ERROR: f32 = 0.1;
+/// Die temperatures that a part can report, °C: 16 bits of its register, rounded outwards.
+const REPORTED_CELSIUS: RangeInclusive<f32> = -80.0..=135.0;
 
 /// Reason why no working sensor has a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +33,11 @@ pub enum ImplausibleCalibration {
     Accelerometer,
     /// The offset of the gyroscope exceeds the largest one at any temperature, 41 °/s.
     GyroscopeOffset,
+    /// The temperature model gives an offset of the gyroscope above 41 °/s within its range.
+    TemperatureModelOffset,
+    /// The temperature model's coldest temperature is above its warmest, its reference is not
+    /// between them, or no part can report one of them.
+    TemperatureModelRange,
     /// An element of the gyroscope's matrix differs by more than 0.1 from the identity.
     GyroscopeMatrix,
     /// The level is no unit quaternion, or tilts by more than 15°.
@@ -43,6 +53,13 @@ impl fmt::Display for ImplausibleCalibration {
                  identity"
             }
             Self::GyroscopeOffset => "no gyroscope has an offset above 41 degrees per second",
+            Self::TemperatureModelOffset => {
+                "the temperature model gives a gyroscope's offset above 41 degrees per second"
+            }
+            Self::TemperatureModelRange => {
+                "the temperature model's reference has to be between its coldest and its warmest \
+                 temperature, and all three from -80 to 135 degrees Celsius"
+            }
             Self::GyroscopeMatrix => "no gyroscope has a matrix more than 0.1 from the identity",
             Self::Level => "the level has to be a unit quaternion that tilts by 15 degrees at most",
         })
@@ -75,6 +92,7 @@ impl Calibration {
             rows.all(|(row, axis)| (*row - axis).is_within(MAX_MATRIX_ERROR))
         };
         let (gyroscope, matrix) = (&self.gyroscope, &self.gyroscope_matrix);
+        let temperature = &self.temperature;
         let parts = [
             (self.is_finite(), ImplausibleCalibration::NotFinite),
             (
@@ -84,6 +102,14 @@ impl Calibration {
             (
                 gyroscope.is_none_or(|it| it.offset_rad_s.is_within(MAX_ZERO_RATE_RAD_S)),
                 ImplausibleCalibration::GyroscopeOffset,
+            ),
+            (
+                (temperature.as_ref()).is_none_or(TemperatureModel::has_plausible_range),
+                ImplausibleCalibration::TemperatureModelRange,
+            ),
+            (
+                (temperature.as_ref()).is_none_or(TemperatureModel::has_plausible_offset),
+                ImplausibleCalibration::TemperatureModelOffset,
             ),
             (
                 matrix.as_ref().is_none_or(is_gyroscope),
@@ -114,6 +140,32 @@ impl AccelerometerCorrection {
         let errors = [m.xx - 1.0, m.yy - 1.0, m.zz - 1.0, m.xy, m.xz, m.yz];
         self.offset_m_s2.is_within(MAX_OFFSET_M_S2)
             && errors.iter().all(|error| error.abs() <= MAX_MATRIX_ERROR)
+    }
+}
+
+impl TemperatureModel {
+    /// Returns whether the temperatures have their order, and a part can report them.
+    fn has_plausible_range(&self) -> bool {
+        let ordered = [
+            self.coldest_celsius,
+            self.reference_celsius,
+            self.warmest_celsius,
+        ];
+        ordered.is_sorted() && ordered.iter().all(|it| REPORTED_CELSIUS.contains(it))
+    }
+
+    /// Returns whether a working gyroscope can have the offsets that the model gives. Those at both
+    /// ends of its use and in the middle bound a parabola in between.
+    fn has_plausible_offset(&self) -> bool {
+        let coldest = self.coldest_celsius - TRUSTED_BEYOND_CELSIUS;
+        let warmest = self.warmest_celsius + TRUSTED_BEYOND_CELSIUS;
+        let middle = 0.5 * (coldest + warmest);
+        [coldest, self.reference_celsius, middle, warmest]
+            .into_iter()
+            .all(|celsius| {
+                let (offset, _) = self.offset_at(celsius);
+                offset.is_within(MAX_ZERO_RATE_RAD_S)
+            })
     }
 }
 
@@ -174,6 +226,78 @@ mod tests {
         };
         change(&mut calibration);
         calibration.check()
+    }
+
+    /// Checks the calibration with this change of its temperature model.
+    fn check_model(
+        change: impl FnOnce(&mut TemperatureModel),
+    ) -> Result<(), ImplausibleCalibration> {
+        check(|it| change(it.temperature.as_mut().expect("a model")))
+    }
+
+    #[test]
+    fn a_temperature_model_has_the_offsets_and_temperatures_of_a_sensor() {
+        use ImplausibleCalibration::{NotFinite, TemperatureModelOffset, TemperatureModelRange};
+        let along_x = |x| Vector3::new(x, 0.0, 0.0);
+        // 40 °/s at the reference; 20 °/s more at the warm end of the use, 20 °C away.
+        let large = radians(40.0);
+        let steep = radians(1.0);
+        for (offset, slope, curvature, expected) in [
+            (large, 0.0, 0.0, Ok(())),
+            (1.5, 0.0, 0.0, Err(TemperatureModelOffset)),
+            (0.0, steep, 0.0, Ok(())),
+            (large, steep, 0.0, Err(TemperatureModelOffset)),
+            // Beyond the cold end, 10 °C from the reference.
+            (large, -steep, 0.0, Err(TemperatureModelOffset)),
+            (0.0, 3.0, 0.0, Err(TemperatureModelOffset)),
+            (0.0, 0.0, 0.01, Err(TemperatureModelOffset)),
+            // Zero at both ends of the use, 38 °/s at the reference, and 43 °/s in the middle.
+            (
+                0.95 * large,
+                1.9 * steep,
+                -0.19 * steep,
+                Err(TemperatureModelOffset),
+            ),
+            (0.0, f32::NAN, 0.0, Err(NotFinite)),
+        ] {
+            let found = check_model(|model| {
+                model.offset_rad_s = along_x(offset);
+                model.slope_rad_s_per_celsius = along_x(slope);
+                model.curvature_rad_s_per_celsius2 = along_x(curvature);
+            });
+            assert_eq!(found, expected, "{offset} {slope} {curvature}");
+        }
+        for (coldest, reference, warmest, expected) in [
+            (25.0, 25.0, 25.0, Ok(())),
+            (-40.0, -40.0, 85.0, Ok(())),
+            (40.0, 30.0, 20.0, Err(TemperatureModelRange)),
+            (20.0, 19.0, 40.0, Err(TemperatureModelRange)),
+            (20.0, 41.0, 40.0, Err(TemperatureModelRange)),
+            (-273.0, 20.0, 40.0, Err(TemperatureModelRange)),
+            (20.0, 30.0, 300.0, Err(TemperatureModelRange)),
+            (20.0, f32::NAN, 40.0, Err(NotFinite)),
+        ] {
+            let found = check_model(|model| {
+                model.coldest_celsius = coldest;
+                model.reference_celsius = reference;
+                model.warmest_celsius = warmest;
+            });
+            assert_eq!(found, expected, "{coldest} {reference} {warmest}");
+        }
+    }
+
+    #[test]
+    fn every_temperature_that_a_part_reports_is_in_the_range() {
+        for part in &crate::mpu6050::PARTS {
+            for counts in [i16::MIN, i16::MAX] {
+                let celsius = crate::mpu6050::TemperatureCounts(counts).to_celsius(part);
+                assert!(
+                    REPORTED_CELSIUS.contains(&celsius),
+                    "{} {celsius}",
+                    part.name
+                );
+            }
+        }
     }
 
     #[test]

@@ -175,6 +175,11 @@ static void calibrations_that_no_sensor_has_are_refused(void)
     is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
     wrong = usual;
     wrong.calibration.has_temperature = 1;
+    wrong.calibration.temperature_warmest_celsius = 40.0f;
+    wrong.calibration.temperature_offset_rad_s[0] = 1.5f; /* in degrees per second */
+    is_refused(&wrong, APLOMB_STATUS_WRONG_TEMPERATURE_OFFSET);
+    wrong.calibration.temperature_coldest_celsius = 50.0f; /* exchanged */
+    is_refused(&wrong, APLOMB_STATUS_WRONG_TEMPERATURE_RANGE);
     wrong.calibration.temperature_slope_rad_s_per_celsius[0] = NAN;
     is_refused(&wrong, APLOMB_STATUS_NOT_STORABLE);
     wrong = usual;
@@ -412,7 +417,7 @@ static void wild_settings_are_refused_or_run(void)
         (void)aplomb_configuration_step(&settings, chance(), &step);
         status = aplomb_compass_init(&with_compass, &settings);
         if (status != APLOMB_STATUS_OK || aplomb_init(&pipeline, &settings) != APLOMB_STATUS_OK) {
-            assert(status <= APLOMB_STATUS_WRONG_DELAY);
+            assert(status <= APLOMB_STATUS_WRONG_TEMPERATURE_RANGE);
             refused++;
             continue;
         }
