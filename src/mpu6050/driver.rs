@@ -20,9 +20,8 @@ use super::registers::{ADDRESSES, Register};
 use super::self_test::{AxisTest, SelfTest};
 use super::steps::{Step, Steps};
 
-/// Number of probes after power-up: ten, 10 ms apart, cover the time until the registers can be
-/// accessed (product specification §6.3).
-const POWER_UP_PROBES: u32 = 10;
+/// Time after power-up until the registers can be accessed, ms (product specification §6.3).
+const POWER_UP_MS: u32 = 100;
 /// Time between two probes, ms.
 const POWER_UP_INTERVAL_MS: u32 = 10;
 /// Samples of each of the self-test's two means, 1 ms apart.
@@ -68,25 +67,22 @@ impl<I2C: I2c> Mpu6050<I2C> {
     /// Searches both addresses for a supported part.
     ///
     /// Repeats the search for 100 ms, because the sensor may power up together with the processor.
+    /// Any failure is repeated: Linux reports a sensor that does not acknowledge as another error.
     /// An unknown chip at the first address, such as a clock, does not hide a sensor at the second.
     ///
     /// # Errors
     ///
-    /// Returns [`Error::NotFound`] if no chip answers, [`Error::UnknownIdentity`] if only an
-    /// unknown one does, [`Error::Bus`] if the bus fails. The failure holds the bus.
-    pub fn probe(mut i2c: I2C, delay: &mut impl DelayNs) -> Result<Self, ProbeFailure<I2C>> {
-        for attempt in 0..POWER_UP_PROBES {
-            if attempt > 0 {
-                delay.delay_ms(POWER_UP_INTERVAL_MS);
-            }
-            match probe_addresses(&mut i2c) {
-                Ok(Some((address, part))) => return Ok(Self { i2c, address, part }),
-                Ok(None) => {}
-                Err(error) => return Err(ProbeFailure { i2c, error }),
-            }
+    /// Returns the error of the last search: [`Error::NotFound`] if no chip answers,
+    /// [`Error::UnknownIdentity`] if only an unknown one does, [`Error::Bus`] if the bus fails. The
+    /// failure holds the bus.
+    pub fn probe(i2c: I2C, delay: &mut impl DelayNs) -> Result<Self, ProbeFailure<I2C>> {
+        let mut result = Self::probe_once(i2c);
+        for _ in 0..POWER_UP_MS / POWER_UP_INTERVAL_MS {
+            let Err(failure) = result else { break };
+            delay.delay_ms(POWER_UP_INTERVAL_MS);
+            result = Self::probe_once(failure.i2c);
         }
-        let error = Error::NotFound;
-        Err(ProbeFailure { i2c, error })
+        result
     }
 
     /// Resets and configures the sensor, in 230 ms. Data-ready pulses begin as it returns.

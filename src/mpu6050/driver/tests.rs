@@ -21,6 +21,8 @@ use Event::{Read, WaitMs, Write};
 enum FakeError {
     Nack,
     Arbitration,
+    /// EREMOTEIO, by which many of Linux's bus drivers report that no chip acknowledges.
+    Other,
 }
 
 impl embedded_hal::i2c::Error for FakeError {
@@ -28,6 +30,7 @@ impl embedded_hal::i2c::Error for FakeError {
         match self {
             Self::Nack => ErrorKind::NoAcknowledge(NoAcknowledgeSource::Unknown),
             Self::Arbitration => ErrorKind::ArbitrationLoss,
+            Self::Other => ErrorKind::Other,
         }
     }
 }
@@ -316,23 +319,52 @@ fn an_empty_bus_is_probed_for_the_power_up_time() {
     let text = error.to_string();
     assert!(text.contains("0x68") && text.contains("0x69"), "{text}");
     let sensor = bench.0.borrow();
-    assert_eq!(sensor.milliseconds, 90);
-    assert_eq!(sensor.transactions, 20);
+    assert_eq!(sensor.milliseconds, 100);
+    assert_eq!(sensor.transactions, 22);
 }
 
 #[test]
 fn a_sensor_that_is_still_powering_up_is_found() {
-    let mut sensor = Sensor::new(0x68, 0x68);
-    sensor.failures = Box::new(|index| (index < 10).then_some(FakeError::Nack));
-    let bench = Bench::new(sensor);
-    assert!(bench.probe().is_ok());
-    assert_eq!(bench.0.borrow().milliseconds, 50);
+    for failure in [FakeError::Nack, FakeError::Other, FakeError::Arbitration] {
+        for searches in [5, 10] {
+            let mut sensor = Sensor::new(0x68, 0x68);
+            // Each search tries both addresses.
+            sensor.failures = Box::new(move |index| (index < 2 * searches).then_some(failure));
+            let bench = Bench::new(sensor);
+            assert!(bench.probe().is_ok(), "{failure:?}");
+            assert_eq!(bench.0.borrow().milliseconds as usize, 10 * searches);
+        }
+    }
+}
+
+#[test]
+fn a_garbled_identity_is_read_again() {
+    let bench = Bench::new(Sensor::new(0x68, 0x13));
+    let mut searching = bench.clone();
+    let probe = Mpu6050::probe(bench.clone(), &mut Changing(&mut searching, 0x70));
+    assert_eq!(probe.expect("a sensor").part().name, "MPU-6500");
+}
+
+/// Delay after which the chip has another identity.
+struct Changing<'a>(&'a mut Bench, u8);
+
+impl DelayNs for Changing<'_> {
+    fn delay_ns(&mut self, _: u32) {
+        self.0.0.borrow_mut().chips[0].1 = self.1;
+    }
 }
 
 #[test]
 fn a_broken_bus_is_not_an_absent_sensor() {
     let mut sensor = Sensor::new(0x68, 0x68);
-    sensor.failures = Box::new(|_| Some(FakeError::Arbitration));
+    // The last search reports another error than those before.
+    sensor.failures = Box::new(|index| {
+        Some(if index < 20 {
+            FakeError::Other
+        } else {
+            FakeError::Arbitration
+        })
+    });
     let bench = Bench::new(sensor);
     let expected = Error::Bus {
         operation: Operation::Read,
@@ -369,10 +401,7 @@ fn one_failure_anywhere_is_reported_and_repaired_by_another_try() {
                 let mut sensor = Sensor::new(0x68, who_am_i);
                 sensor.failures = Box::new(move |index| (index == failing).then_some(failure));
                 let bench = Bench::new(sensor);
-                let mut sensor = match bench.probe() {
-                    Ok(sensor) => sensor,
-                    Err(_) => bench.probe().expect("a second try"),
-                };
+                let mut sensor = bench.probe().expect("a sensor");
                 let first = sensor.configure(&UNUSUAL, &mut bench.clone());
                 // A failed identity was retried; any later failure must be reported.
                 match first {
