@@ -55,7 +55,7 @@ mod app {
         // `Ready::part`.
         let pipeline = Pipeline::new(&Settings {
             verifies_scales: true,
-            ..Settings::new(&Part::MPU_6050)
+            ..Settings::for_sensor(&Part::MPU_6050, &Config::DEFAULT)
         });
         (Shared { reader, timebase }, Local { sensor, pipeline })
     }

@@ -10,7 +10,8 @@ use crate::serialize::StateVisitor;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Settings {
-    /// Configuration of the sensor. Its full scales are the scales of the bytes.
+    /// Configuration of the sensor. Its full scales are the scales of the bytes. It has to be the
+    /// one that the sensor was given: after a mismatch wrong rates are flagged `VALID`.
     pub sensor: Config,
     /// Part, which determines the temperature scale.
     pub part: &'static Part,
@@ -31,7 +32,30 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Creates the default settings for this part.
+    /// Creates the settings for this part with this configuration, which the sensor was given.
+    ///
+    /// ```no_run
+    /// use aplomb::mpu6050::{Config, Error, LowPass, Mpu6050};
+    /// use aplomb::pipeline::{Pipeline, Settings};
+    /// use embedded_hal::{delay::DelayNs, i2c::I2c};
+    ///
+    /// fn start<I2C: I2c>(
+    ///     sensor: &mut Mpu6050<I2C>,
+    ///     delay: &mut impl DelayNs,
+    /// ) -> Result<Pipeline, Error<I2C::Error>> {
+    ///     let config = Config::DEFAULT.with_low_pass(LowPass::Hertz98);
+    ///     sensor.configure(&config, delay)?;
+    ///     Ok(Pipeline::new(&Settings::for_sensor(sensor.part(), &config)))
+    /// }
+    /// ```
+    pub const fn for_sensor(part: &'static Part, config: &Config) -> Self {
+        Self {
+            sensor: *config,
+            ..Self::new(part)
+        }
+    }
+
+    /// Creates the settings for this part with the default configuration.
     pub const fn new(part: &'static Part) -> Self {
         Self {
             sensor: Config::DEFAULT,
@@ -132,6 +156,17 @@ impl Settings {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_configuration_of_the_sensor_is_in_the_settings() {
+        let config = Config::DEFAULT.with_low_pass(crate::mpu6050::LowPass::Hertz20);
+        let settings = Settings::for_sensor(&Part::MPU_6050, &config);
+        assert_eq!(settings.sensor, config);
+        assert_eq!(
+            Settings::for_sensor(&Part::MPU_6050, &Config::DEFAULT),
+            Settings::new(&Part::MPU_6050)
+        );
+    }
 
     #[test]
     fn the_delay_is_that_of_the_part() {
