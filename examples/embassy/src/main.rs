@@ -13,77 +13,140 @@
 #![no_std]
 #![no_main]
 
-use aplomb::health::BoardFlags;
+use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::registers::Register;
 use aplomb::mpu6050::{ADDRESSES, BURST_LENGTH, Burst, Check, Config, Part, SettingsState, Step};
-use aplomb::pipeline::{Pipeline, Settings};
+use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use embassy_executor::Spawner;
 use embassy_stm32::exti::{self, ExtiInput};
 use embassy_stm32::gpio::Pull;
 use embassy_stm32::i2c::{self, I2c};
 use embassy_stm32::{bind_interrupts, dma, interrupt, peripherals};
-use embassy_time::{Instant, Timer};
+use embassy_time::{Duration, Instant, Timer, with_timeout};
 use embedded_hal_async::{digital::Wait, i2c::I2c as Bus};
 use {defmt_rtt as _, panic_probe as _};
 
-const ADDRESS: u8 = ADDRESSES[0];
+/// Longest wait for an edge: three sample periods.
+const EDGE_TIMEOUT: Duration = Duration::from_millis(3);
+/// Missing samples in a row after which the sensor is configured anew.
+const MOST_MISSED: u8 = 20;
+/// Samples between two checks of the sensor's settings.
+const SAMPLES_TO_CHECK: u32 = 44;
 
 /// Time for a STOP on the bus, µs. Embassy's driver does not wait for its end, and a START that is
 /// requested before may never be made (RM0090, 27.6.1).
 const STOP_US: u64 = 10;
 
-/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth
-/// attitude. Returns if the bus fails, if the device is no sensor of this family, or if the sensor
-/// does not keep its settings.
-async fn show_attitude<I: Bus>(mut i2c: I, mut interrupt: impl Wait) -> Result<(), I::Error> {
-    let (config, mut byte) = (Config::default(), [0]);
-    i2c.write_read(ADDRESS, &[Register::WhoAmI.address()], &mut byte)
-        .await?;
-    let Some(part) = Part::from_who_am_i(byte[0]) else {
-        return Ok(());
-    };
-    Timer::after_micros(STOP_US).await;
-    for step in Step::configuration(&config, part) {
-        i2c.write(ADDRESS, &[step.register.address(), step.value])
-            .await?;
-        Timer::after_micros(STOP_US + 1_000 * u64::from(step.wait_ms)).await;
-    }
-    for check in Check::all(&config, part) {
-        let mut bytes = [0; Check::LONGEST];
-        i2c.write_read(
-            ADDRESS,
-            &[check.first.address()],
-            &mut bytes[..check.length],
-        )
-        .await?;
-        if check.evaluate(&bytes) != SettingsState::Intact {
-            return Ok(());
-        }
+/// Sensor that was found.
+struct Sensor {
+    address: u8,
+    part: &'static Part,
+    config: Config,
+}
+
+/// Searches both addresses; `None` if no sensor of this family answers.
+async fn find(i2c: &mut impl Bus) -> Option<Sensor> {
+    for address in ADDRESSES {
+        let (register, mut byte) = ([Register::WhoAmI.address()], [0]);
+        let answer = i2c.write_read(address, &register, &mut byte).await;
         Timer::after_micros(STOP_US).await;
-    }
-    let mut pipeline = Pipeline::new(&Settings::new(part));
-    for number in 1_u32.. {
-        interrupt.wait_for_rising_edge().await.ok();
-        let captured_at_us = Instant::now().as_micros();
-        let mut bytes = [0; BURST_LENGTH];
-        i2c.write_read(
-            ADDRESS,
-            &[Register::AccelerometerXHigh.address()],
-            &mut bytes,
-        )
-        .await?;
-        let burst = Burst {
-            bytes,
-            captured_at_us,
-            missed_before: 0,
-        };
-        let angles = pipeline.update(&burst, BoardFlags::empty()).euler();
-        if number.is_multiple_of(100) {
-            let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
-            defmt::info!("roll {} pitch {}", roll, pitch);
+        if answer.is_ok()
+            && let Some(part) = Part::from_who_am_i(byte[0])
+        {
+            let config = Config::default();
+            return Some(Sensor {
+                address,
+                part,
+                config,
+            });
         }
     }
-    Ok(())
+    None
+}
+
+impl Sensor {
+    /// Configures the sensor.
+    async fn configure<I: Bus>(&self, i2c: &mut I) -> Result<(), I::Error> {
+        for step in Step::configuration(&self.config, self.part) {
+            i2c.write(self.address, &[step.register.address(), step.value])
+                .await?;
+            Timer::after_micros(STOP_US + 1_000 * u64::from(step.wait_ms)).await;
+        }
+        Ok(())
+    }
+
+    /// Reads the settings back. Returns whether they are as configured.
+    async fn is_intact<I: Bus>(&self, i2c: &mut I) -> Result<bool, I::Error> {
+        for check in Check::all(&self.config, self.part) {
+            let mut bytes = [0; Check::LONGEST];
+            let (first, read) = ([check.first.address()], &mut bytes[..check.length]);
+            i2c.write_read(self.address, &first, read).await?;
+            if check.evaluate(&bytes) != SettingsState::Intact {
+                return Ok(false);
+            }
+            Timer::after_micros(STOP_US).await;
+        }
+        Ok(true)
+    }
+
+    /// Reads the sample of this edge.
+    async fn read_burst<I: Bus>(&self, i2c: &mut I, edge: Instant) -> Result<Burst, I::Error> {
+        let mut bytes = [0; BURST_LENGTH];
+        let first = [Register::AccelerometerXHigh.address()];
+        i2c.write_read(self.address, &first, &mut bytes).await?;
+        Ok(Burst {
+            bytes,
+            captured_at_us: edge.as_micros(),
+            missed_before: 0,
+        })
+    }
+}
+
+/// Configures the sensor, then reads a sample at every edge of INT and shows every hundredth
+/// attitude. Returns if samples stay away, or if the sensor does not keep its settings: it may have
+/// reset itself. The next call starts from nothing.
+async fn show_attitude<I: Bus>(i2c: &mut I, interrupt: &mut impl Wait) -> Option<()> {
+    let sensor = find(i2c).await?;
+    sensor.configure(i2c).await.ok()?;
+    let mut pipeline = Pipeline::new(&Settings::for_sensor(sensor.part, &sensor.config));
+    let mut missed = 0;
+    for number in 0_u32.. {
+        if number.is_multiple_of(SAMPLES_TO_CHECK) && !sensor.is_intact(i2c).await.ok()? {
+            return None;
+        }
+        let edge = with_timeout(EDGE_TIMEOUT, interrupt.wait_for_rising_edge()).await;
+        let now = Instant::now();
+        let burst = match edge {
+            Ok(_) => sensor.read_burst(i2c, now).await.ok(),
+            Err(_) => None,
+        };
+        let Some(mut burst) = burst else {
+            missed += 1;
+            show(
+                number,
+                &pipeline.stale(now.as_micros(), BoardFlags::BUS_FAULT),
+            );
+            if missed == MOST_MISSED {
+                return None;
+            }
+            continue;
+        };
+        burst.missed_before = core::mem::take(&mut missed);
+        let mut board = BoardFlags::empty();
+        board.set(BoardFlags::BUS_FAULT, burst.missed_before > 0);
+        show(number, &pipeline.update(&burst, board));
+    }
+    None
+}
+
+/// Shows every hundredth attitude. Rely on it only with `VALID` among its flags.
+fn show(number: u32, snapshot: &Snapshot) {
+    if number % 100 == 99 {
+        let angles = snapshot.euler();
+        let (roll, pitch) = (angles.roll_rad.to_degrees(), angles.pitch_rad.to_degrees());
+        let is_valid = snapshot.flags.contains(Flags::VALID);
+        defmt::info!("valid {} roll {} pitch {}", is_valid, roll, pitch);
+    }
 }
 
 bind_interrupts!(struct Interrupts {
@@ -104,11 +167,8 @@ async fn main(_spawner: Spawner) {
     );
     let mut interrupt = ExtiInput::new(p.PA1, p.EXTI1, Pull::Down, Interrupts);
     loop {
-        let result = show_attitude(&mut bus, &mut interrupt).await;
-        defmt::warn!(
-            "no sensor, or not as it was configured: {}",
-            result.is_err()
-        );
+        show_attitude(&mut bus, &mut interrupt).await;
+        defmt::warn!("no sensor, no samples, or not as it was configured");
         Timer::after_millis(100).await;
     }
 }
