@@ -160,12 +160,37 @@ pub fn to_bytes(record: &Record) -> Option<[u8; LONGEST_RECORD]> {
     encode(record, 1)
 }
 
-/// Returns the record of these bytes; `None` if they are damaged.
-pub fn from_bytes(bytes: &[u8; LONGEST_RECORD]) -> Option<Record> {
-    match decode(bytes) {
-        Slot::Valid { record, .. } => Some(record),
-        _ => None,
-    }
+/// Returns the record of these bytes, and the problem if they give none. Erased bytes give neither.
+///
+/// The checksum shows that the bytes are as they were written. [`Calibration::check`] shows that a
+/// sensor can have such a calibration.
+///
+/// ```
+/// use aplomb::calibration::{Calibration, ImplausibleCalibration};
+/// use aplomb::settings::{Record, storage};
+///
+/// /// Returns the calibration of these bytes, and none without a record.
+/// fn calibration(
+///     bytes: &[u8; storage::LONGEST_RECORD],
+/// ) -> Result<Calibration, ImplausibleCalibration> {
+///     let record = storage::from_bytes(bytes).record.unwrap_or_default();
+///     record.calibration.check()?;
+///     Ok(record.calibration)
+/// }
+/// # let bytes = storage::to_bytes(&Record::default()).ok_or("unstorable")?;
+/// # assert!(calibration(&bytes)? == Calibration::NONE);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// [`Calibration::check`]: crate::calibration::Calibration::check
+pub fn from_bytes(bytes: &[u8; LONGEST_RECORD]) -> Loaded {
+    let (record, problem) = match decode(bytes) {
+        Slot::Valid { record, .. } => (Some(record), None),
+        Slot::Blank => (None, None),
+        Slot::Damaged => (None, Some(LoadProblem::Damaged)),
+        Slot::NewerFormat { version, .. } => (None, Some(LoadProblem::NewerFormat { version })),
+    };
+    Loaded { record, problem }
 }
 
 /// Returns whether both records have the same bytes in flash.

@@ -19,7 +19,7 @@ pub fn at_start() -> Option<Record> {
 /// Returns the record in use.
 #[inline(never)]
 pub fn get() -> Option<Record> {
-    storage::from_bytes(&retained::record())
+    storage::from_bytes(&retained::record()).record
 }
 
 /// Keeps this record. Call it only in init or in the telemetry task: the supervisor reads it.

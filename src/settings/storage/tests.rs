@@ -628,6 +628,35 @@ fn the_stored_format_is_the_documented_one() {
 }
 
 #[test]
+fn bytes_are_a_record_or_blank_or_damaged_or_newer() {
+    let number = 7;
+    let bytes = to_bytes(&record(number)).expect("storable");
+    let found = from_bytes(&bytes);
+    assert_eq!((found.record, found.problem), (Some(record(number)), None));
+
+    let blank = from_bytes(&[0xFF; LONGEST_RECORD]);
+    assert_eq!((blank.record, blank.problem), (None, None));
+
+    let mut damaged = bytes;
+    damaged[20] ^= 1;
+    for bytes in [damaged, [0; LONGEST_RECORD]] {
+        let found = from_bytes(&bytes);
+        assert_eq!(
+            (found.record, found.problem),
+            (None, Some(LoadProblem::Damaged))
+        );
+    }
+
+    let version = Record::VERSION + 1;
+    let mut newer = [0xFF; LONGEST_RECORD];
+    let image = image(version, 1, &body_of(&record(number)));
+    newer[..image.len()].copy_from_slice(&image);
+    let found = from_bytes(&newer);
+    let expected = Some(LoadProblem::NewerFormat { version });
+    assert_eq!((found.record, found.problem), (None, expected));
+}
+
+#[test]
 fn a_full_record_leaves_room_for_more() {
     assert_eq!(HEADER_LENGTH + body_of(&record(1)).len(), 244);
 }
