@@ -92,6 +92,7 @@ mod receiver;
 mod session;
 mod wire;
 
+pub use super::message::Severity;
 pub use action::{Action, Calibrate, Outcome, Ticket};
 pub use messages::Vehicle;
 pub use session::Session;
