@@ -163,10 +163,11 @@ impl Estimator {
     /// Creates an estimator with the default filter, for a calibrated sensor. The first sample
     /// starts it.
     ///
-    /// For another sensor call
+    /// For a sensor as it left the factory pass `AccelerometerKnowledge::Factory` to
     /// [`set_accelerometer_knowledge`](Kalman::set_accelerometer_knowledge) and
+    /// `GyroscopeKnowledge::Factory` to
     /// [`set_gyroscope_knowledge`](Kalman::set_gyroscope_knowledge) of
-    /// [`filter_mut`](Self::filter_mut).
+    /// [`filter_mut`](Self::filter_mut). Else σ is too small.
     pub fn new() -> Self {
         Self::with_filter(Kalman::new())
     }
