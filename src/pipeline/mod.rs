@@ -107,6 +107,23 @@ pub struct Pipeline {
 
 impl Pipeline {
     /// Creates a pipeline without a burst.
+    ///
+    /// Does not check the calibration: call [`Calibration::check`] for one that comes from outside.
+    /// With one that no sensor has, wrong attitudes are flagged [`Flags::VALID`].
+    ///
+    /// ```
+    /// use aplomb::calibration::{Calibration, ImplausibleCalibration};
+    /// use aplomb::mpu6050::{Config, Part};
+    /// use aplomb::pipeline::{Pipeline, Settings};
+    ///
+    /// fn start(calibration: Calibration) -> Result<Pipeline, ImplausibleCalibration> {
+    ///     calibration.check()?;
+    ///     let mut settings = Settings::for_sensor(&Part::MPU_6050, &Config::DEFAULT);
+    ///     settings.calibration = calibration;
+    ///     Ok(Pipeline::new(&settings))
+    /// }
+    /// # assert!(start(Calibration::NONE).is_ok());
+    /// ```
     pub fn new(settings: &Settings) -> Self {
         let sensor = &settings.sensor;
         let monitor = Monitor::new(&settings.monitored_sensor());
@@ -361,7 +378,8 @@ impl Pipeline {
         &self.settings.calibration
     }
 
-    /// Replaces the calibration, from the next sample on.
+    /// Replaces the calibration, from the next sample on. For one that comes from outside call
+    /// [`Calibration::check`] before.
     ///
     /// The attitude continues, unless the mount, the level or the gyroscope's matrix changes. Then
     /// the rates in body axes change, and the filter restarts. Returns whether it does: a heading

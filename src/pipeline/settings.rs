@@ -17,8 +17,9 @@ pub struct Settings {
     pub part: &'static Part,
     /// Mount of the sensor, unless `calibration` has one. Default: chip face up, X forward.
     pub mount: Mount,
-    /// Calibration of the sensor. Default: none. It corrects bursts. It corrects readings in SI
-    /// units only by [`Pipeline::calibrated_sample`](super::Pipeline::calibrated_sample).
+    /// Calibration of the sensor, which has passed [`Calibration::check`]. Default: none. It
+    /// corrects bursts. It corrects readings in SI units only by
+    /// [`Pipeline::calibrated_sample`](super::Pipeline::calibrated_sample).
     pub calibration: Calibration,
     /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
     /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that
@@ -166,6 +167,28 @@ mod tests {
             Settings::for_sensor(&Part::MPU_6050, &Config::DEFAULT),
             Settings::new(&Part::MPU_6050)
         );
+    }
+
+    #[test]
+    fn every_temperature_that_a_part_reports_is_plausible() {
+        use crate::attitude::Vector3;
+        use crate::calibration::TemperatureModel;
+        for part in &crate::mpu6050::PARTS {
+            for counts in [i16::MIN, i16::MAX] {
+                let celsius = crate::mpu6050::TemperatureCounts(counts).to_celsius(part);
+                let model = TemperatureModel {
+                    reference_celsius: celsius,
+                    offset_rad_s: Vector3::ZERO,
+                    slope_rad_s_per_celsius: Vector3::ZERO,
+                    curvature_rad_s_per_celsius2: Vector3::ZERO,
+                    coldest_celsius: celsius,
+                    warmest_celsius: celsius,
+                };
+                let mut calibration = Calibration::NONE;
+                calibration.temperature = Some(model);
+                assert_eq!(calibration.check(), Ok(()), "{} {celsius}", part.name);
+            }
+        }
     }
 
     #[test]
