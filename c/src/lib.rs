@@ -292,7 +292,7 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the level is no unit quaternion, or tilts by more than 15 degrees",
         c"the sensor's delay exceeds a second, 1000000 microseconds",
         c"the temperature model gives an offset above 41 degrees per second: it is in rad/s",
-        c"the temperature model's reference is not in its range, or that exceeds -80 to 135 Celsius",
+        c"the temperature model's reference is not in its range, or that is not in -80 to 135 C",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()
