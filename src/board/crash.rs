@@ -34,8 +34,8 @@ global_asm!(
 );
 
 /// CFSR: an access to the guard, or stacking that failed, by the memory protection unit or the bus
-/// (PM0214, 4.4.15). The first comes alone if a push crosses the guard, and the smaller frame of the
-/// fault does not.
+/// (PM0214, 4.4.15). The first comes alone if a push crosses the guard, and the smaller frame of
+/// the fault does not.
 const STACK_OVERFLOWED: u32 = 1 << 1 | 1 << 4 | 1 << 12;
 /// Index of the program counter in the frame that the processor pushes (PM0214, 2.3.7).
 const PROGRAM_COUNTER: usize = 6;

@@ -156,8 +156,8 @@ pub struct Heading {
     expected_ut2: f32,
     /// Scratch of the step, from `Phase::Gate` on: variance of an axis's noise.
     noise_ut2: f32,
-    /// Scratch of the step, from `Phase::CorrectStates` on: inverse of the innovation variance of an
-    /// axis, 1/µT².
+    /// Scratch of the step, from `Phase::CorrectStates` on: inverse of the innovation variance of
+    /// an axis, 1/µT².
     inverse_variance: f32,
     /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
@@ -177,9 +177,9 @@ pub struct Heading {
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Scratch of the step. From `Phase::RepeatOnCross` on: gains of the tilt filter's measurements. From
-    /// `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From `Phase::Project` on: O·hᵀ of
-    /// an axis.
+    /// Scratch of the step. From `Phase::RepeatOnCross` on: gains of the tilt filter's
+    /// measurements. From `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From `Phase::Project`
+    /// on: O·hᵀ of an axis.
     own_column: [f32; STATES],
     /// Scratch of the step. From `Phase::Drift` on: P·Wᵀ of the drift of yaw. From
     /// `Phase::ProjectCross` on: X·hᵀ of an axis.
@@ -453,8 +453,8 @@ impl Heading {
         }
     }
 
-    /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one. Runs one
-    /// slice of a step at most, unless samples are rare.
+    /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one. Runs
+    /// one slice of a step at most, unless samples are rare.
     #[inline]
     pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
         if kalman.is_motion_reset()
