@@ -23,6 +23,7 @@ use aplomb_recordings::flight_log;
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Rows;
 use aplomb_recordings::output::OutputFile;
+use aplomb_recordings::rate::median_step_us;
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
@@ -35,6 +36,9 @@ use samples::{Sample, finest_config, read_bursts, read_rows, to_samples};
 
 /// Fewest rows of a slow moment.
 const LEAST_ROWS: usize = 10;
+/// Shortest pause of a recording, µs, and in steps between its rows.
+const SHORTEST_PAUSE_US: u64 = 100_000;
+const SHORTEST_PAUSE_STEPS: u64 = 5;
 
 /// Find the calibration of accelerometer, gyroscope and compass in a recording that shows the
 /// sensor from many sides.
@@ -156,6 +160,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 struct Recording {
     settings: Settings,
     samples: Vec<Sample>,
+    /// Usual time from row to row, µs: pauses of the logger leave it alone.
+    step_us: u64,
 }
 
 impl Recording {
@@ -200,7 +206,13 @@ impl Recording {
     fn new(config: Config, samples: Vec<Sample>) -> Self {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor = config;
-        Self { settings, samples }
+        let times_us: Vec<i64> = samples.iter().map(|sample| sample.t_us).collect();
+        let step_us = median_step_us(&times_us).max(1);
+        Self {
+            settings,
+            samples,
+            step_us,
+        }
     }
 
     fn duration_s(&self) -> f64 {
@@ -208,5 +220,11 @@ impl Recording {
             (Some(first), Some(last)) => last.t_us.abs_diff(first.t_us) as f64 * 1e-6,
             _ => 0.0,
         }
+    }
+
+    /// Returns whether the recording pauses between these times.
+    fn is_pause(&self, before_us: i64, after_us: i64) -> bool {
+        let shortest_us = SHORTEST_PAUSE_US.max(self.step_us.saturating_mul(SHORTEST_PAUSE_STEPS));
+        before_us.abs_diff(after_us) > shortest_us
     }
 }

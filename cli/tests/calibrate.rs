@@ -96,6 +96,25 @@ fn rests_are_found_and_the_known_errors_with_them() {
     assert_eq!(found["held_out"], serde_json::Value::Null);
 }
 
+/// Pauses of a minute, one in each pose: the mean rate falls to 4 Hz.
+#[test]
+fn pauses_of_the_logger_do_not_shorten_the_rests() {
+    let text = recording(&Pose::GUIDE, 0.0);
+    let mut paused = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    for (index, row) in text.lines().skip(1).enumerate() {
+        let (t_us, readings) = row.split_once(',').unwrap();
+        let pauses = (index + 130) / 230;
+        let t_us = t_us.parse::<usize>().unwrap() + 60_000_000 * pauses;
+        writeln!(paused, "{t_us},{readings}").unwrap();
+    }
+    let printed = calibrate("pauses", &paused, &RAW).unwrap();
+    assert!(printed.contains("pose 12 at "), "{printed}");
+    let repeated = printed.split_once(" rests").unwrap().0;
+    let repeated = repeated.rsplit_once([' ', '\n']).unwrap().1;
+    // Four rests of half a second in each pose.
+    assert!(repeated.parse::<usize>().unwrap() <= 36, "{printed}");
+}
+
 #[test]
 fn what_cannot_be_used_is_refused_with_its_reason() {
     let restless = calibrate("restless", &recording(&Pose::GUIDE, 40.0), &RAW).unwrap_err();

@@ -19,7 +19,8 @@ pub fn divider_of_bursts(times_us: &[i64]) -> u8 {
 }
 
 /// Returns the median of the steps between these times, µs; zero without a step.
-fn median_step_us(times_us: &[i64]) -> u64 {
+#[must_use]
+pub fn median_step_us(times_us: &[i64]) -> u64 {
     let pairs = times_us.windows(2);
     let mut steps_us: Vec<u64> = pairs.map(|pair| pair[0].abs_diff(pair[1])).collect();
     steps_us.sort_unstable();

@@ -55,13 +55,11 @@ impl Recording {
     }
 
     fn rows_in(&self, seconds: f64) -> usize {
-        let rate = self.samples.len() as f64 / self.duration_s().max(1e-6);
-        ((rate * seconds) as usize).clamp(LEAST_ROWS, usize::from(u16::MAX))
+        ((seconds * 1e6 / self.step_us as f64) as usize).clamp(LEAST_ROWS, usize::from(u16::MAX))
     }
 
     /// Returns the rests by the device's rule.
     fn rests(&self) -> Rested {
-        let rate_hz = self.samples.len() as f64 / self.duration_s().max(1e-6);
         let sensor = &self.settings.sensor;
         let noise = NoiseModel::new(&SensorSetup {
             gyroscope_counts_per_degree_s: sensor.gyroscope_range.counts_per_degree_s(),
@@ -69,7 +67,7 @@ impl Recording {
             // The log does not name its filter; the widest one has the most noise.
             gyroscope_bandwidth_hz: LowPass::Hertz256.gyroscope_bandwidth_hz().into(),
             accelerometer_bandwidth_hz: LowPass::Hertz256.accelerometer_bandwidth_hz().into(),
-            sample_rate_hz: rate_hz as f32,
+            sample_rate_hz: 1e6 / self.step_us as f32,
         });
         let rows = self.rows_in(REST_S) as u16;
         let mut detector = StationaryDetector::new(&noise, rows);
@@ -82,7 +80,12 @@ impl Recording {
             moved: Vec::new(),
             taken: Vec::new(),
         };
+        let mut last_us = None;
         for sample in &self.samples {
+            let before_us = last_us.replace(sample.t_us);
+            if before_us.is_some_and(|before_us| self.is_pause(before_us, sample.t_us)) {
+                detector = StationaryDetector::new(&noise, rows);
+            }
             rested.turns.update(sample);
             let reading = ImuReading {
                 gyroscope: sample.raw.gyroscope.0,
