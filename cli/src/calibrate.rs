@@ -2,10 +2,10 @@
 //! from a recording, with the device's own rule and the library's fits.
 //!
 //! The firmware's stationary detector finds the rests, and its collector collects them. A recording
-//! without rests may hold slow moments, in which the specific force is nearly gravity. The program
-//! uses them if there are enough in every direction, and the output names this rule. Half of the
-//! poses are held out, to report the residual on poses that the fit has not seen. The turns between
-//! the rests show the gyroscope's scale and cross-axis terms.
+//! without rests may hold nearly still moments, in which the specific force is nearly gravity. The
+//! program uses them if there are enough in every direction, and if a fit to half of them improves
+//! the others. The output names this rule. The turns between the rests show the gyroscope's scale
+//! and cross-axis terms.
 
 mod accelerometer;
 mod compass;
@@ -34,7 +34,7 @@ use crate::progress;
 use report::json;
 use samples::{Sample, finest_config, read_bursts, read_rows, to_samples};
 
-/// Fewest rows of a slow moment.
+/// Fewest rows of a rest.
 const LEAST_ROWS: usize = 10;
 /// Shortest pause of a recording, µs, and in steps between its rows.
 const SHORTEST_PAUSE_US: u64 = 100_000;
@@ -59,7 +59,7 @@ const SHORTEST_PAUSE_STEPS: u64 = 5;
   aplomb calibrate --draw-poses poses.png
   aplomb calibrate --i2c /dev/i2c-1 --json > calibration.json
 
-JSON: rule (rest or slow), poses, offset_m_s2, matrix (what corrects: times reading less offset),
+JSON: rule (rest or nearly_still), poses, offset_m_s2, matrix (what corrects: times reading less offset),
 cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
 residual_before_g and residual_after_g of those held out; accelerometer_refused instead, if only
 the compass was found. gyroscope (turns, matrix, residual_before_deg, residual_after_deg), or

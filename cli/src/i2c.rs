@@ -142,6 +142,8 @@ impl I2cOptions {
 /// Calibration as `aplomb calibrate --json` prints it.
 #[derive(serde::Deserialize)]
 struct Calibrated {
+    /// Rule that found it; a file of another program names none.
+    rule: Option<String>,
     offset_m_s2: [f32; 3],
     matrix: [[f32; 3]; 3],
     gyroscope: Option<CalibratedGyroscope>,
@@ -156,11 +158,18 @@ struct CalibratedGyroscope {
 /// Returns the correction of the accelerometer, and the matrix of the gyroscope if there is one.
 fn corrections(json: &str) -> Result<(AccelerometerCorrection, Option<Matrix3>), String> {
     let Calibrated {
+        rule,
         offset_m_s2: [x, y, z],
         matrix: [[xx, xy, xz], [_, yy, yz], [_, _, zz]],
         gyroscope,
     } = serde_json::from_str(json)
         .map_err(|error| format!("{error}: write it with `aplomb calibrate --json`"))?;
+    if let Some(rule) = rule.filter(|rule| rule != "rest") {
+        return Err(format!(
+            "its rule is {rule}, which is too inexact to count as a calibration: lay the sensor \
+             still in its poses, and calibrate again"
+        ));
+    }
     let accelerometer = AccelerometerCorrection {
         offset_m_s2: Vector3::new(x, y, z),
         matrix: SymmetricMatrix {
@@ -457,5 +466,17 @@ mod tests {
             let error = parse_rate(rate).expect_err(rate);
             assert!(error.ends_with("from 4 to 1000"), "{rate}: {error}");
         }
+    }
+
+    #[test]
+    fn a_calibration_of_nearly_still_moments_is_refused() {
+        let json = |rule: &str| {
+            format!("{{{rule}\"offset_m_s2\":[0,0,0],\"matrix\":[[1,0,0],[0,1,0],[0,0,1]]}}")
+        };
+        for rule in ["", "\"rule\":\"rest\","] {
+            assert!(corrections(&json(rule)).is_ok(), "{rule}");
+        }
+        let refused = corrections(&json("\"rule\":\"nearly_still\",")).unwrap_err();
+        assert!(refused.starts_with("its rule is nearly_still"), "{refused}");
     }
 }

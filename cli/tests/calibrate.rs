@@ -72,7 +72,7 @@ fn rests_are_found_and_the_known_errors_with_them() {
     let printed = calibrate("rests", &text, &RAW).unwrap();
     assert!(printed.contains("pose 1 at "), "{printed}");
     assert!(printed.contains("pose 12 at "), "{printed}");
-    assert!(printed.contains("a pose again"), "{printed}");
+    assert!(printed.contains("rests repeat a pose"), "{printed}");
     assert!(printed.contains("not at rest"), "{printed}");
     assert!(
         printed.contains("12 poses, offset, scale and cross-axis"),
@@ -122,14 +122,18 @@ fn what_cannot_be_used_is_refused_with_its_reason() {
         restless.contains("too restless for the device's rule"),
         "{restless}"
     );
-    assert!(
-        restless.contains("the gyroscope spreads by 2"),
-        "{restless}"
-    );
+    assert!(restless.contains("the rates vary by 2"), "{restless}");
 
     let flat = recording(&[Pose::GUIDE[0]; 4], 0.0);
     let flat = calibrate("flat", &flat, &RAW).unwrap_err();
     assert!(flat.contains("1 of at least 6 poses"), "{flat}");
+
+    let five = calibrate("five", &recording(&Pose::GUIDE[..5], 0.0), &RAW).unwrap_err();
+    assert!(five.contains("5 of at least 6 poses"), "{five}");
+    assert!(
+        five.contains("lay it still on the missing sides, y down"),
+        "{five}"
+    );
 
     let half: Vec<Pose> = Pose::GUIDE[2..8].to_vec();
     let half = calibrate("half", &recording(&half, 0.0), &RAW).unwrap_err();
@@ -148,9 +152,9 @@ fn what_cannot_be_used_is_refused_with_its_reason() {
 }
 
 #[test]
-fn slow_moments_serve_where_nothing_rests_and_it_says_so() {
+fn nearly_still_moments_serve_where_nothing_rests_and_it_says_so() {
     let poses: Vec<Pose> = Pose::GUIDE.into_iter().cycle().take(24).collect();
-    let printed = calibrate("slow", &recording(&poses, 6.0), &RAW).unwrap();
+    let printed = calibrate("nearly-still", &recording(&poses, 6.0), &RAW).unwrap();
     assert!(
         printed.contains("too restless for the device's rule"),
         "{printed}"
@@ -160,6 +164,24 @@ fn slow_moments_serve_where_nothing_rests_and_it_says_so() {
     let times = printed.split_once("after, ").unwrap().1;
     let times: f64 = times.split_once(" times").unwrap().0.parse().unwrap();
     assert!(times > 3.0, "{printed}");
+}
+
+/// Within a third of a second the mean force of a turn of 180 °/s is 4 % too small.
+#[test]
+fn steady_turns_are_no_rest() {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz\n");
+    let mut attitude = Quaternion::IDENTITY;
+    for row in 0..4_800 {
+        let axis = [[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]][row / 1_600];
+        let rate = axis.map(|part: f64| part * std::f64::consts::PI * 0.5_f64.sqrt());
+        let step = Quaternion::from_rotation_vector(rate.map(|rate| 0.005 * rate));
+        attitude = attitude.multiply(step);
+        let [ax, ay, az] = attitude.conjugate().rotate([0.0, 0.0, GRAVITY]);
+        let [gx, gy, gz] = rate;
+        writeln!(text, "{},{ax},{ay},{az},{gx},{gy},{gz}", 5_000 * row).unwrap();
+    }
+    let refused = calibrate("steady", &text, &[]).unwrap_err();
+    assert!(refused.contains("its 0 nearly still moments"), "{refused}");
 }
 
 #[test]
@@ -249,8 +271,7 @@ fn a_compass_is_calibrated_with_its_iron_and_gains() {
 fn a_compass_that_was_turned_too_little_or_disturbed_is_refused_with_the_reason() {
     let little = calibrate("compass-little", &turned(0.2, 0.0), &[]).unwrap_err();
     assert!(little.contains("compass: it was never "), "{little}");
-    // The slow moments serve the accelerometer.
-    let disturbed = calibrate("compass-magnet", &turned(1.0, 25.0), &[]).unwrap();
+    let disturbed = calibrate("compass-magnet", &turned(1.0, 25.0), &[]).unwrap_err();
     assert!(
         disturbed.contains("compass: the readings contradict the motion"),
         "{disturbed}"

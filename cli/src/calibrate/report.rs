@@ -73,6 +73,24 @@ impl Found {
         })
     }
 
+    /// Refuses a fit that improves nothing for poses that it has not seen.
+    pub fn check_held_out(&self) -> Result<(), String> {
+        match self.held_out() {
+            Some(HeldOut {
+                before_g, after_g, ..
+            }) if after_g < before_g => Ok(()),
+            Some(HeldOut {
+                before_g, after_g, ..
+            }) => Err(format!(
+                "a fit to half of its nearly still moments does not improve the others: residual \
+                 {:.2} mg before, {:.2} mg after",
+                1000.0 * before_g,
+                1000.0 * after_g,
+            )),
+            None => Err("half of its nearly still moments do not show every direction".into()),
+        }
+    }
+
     pub fn describe(&self, report: &mut String) {
         let correction = &self.fit.correction;
         let offset = correction.offset_m_s2.scale(1000.0 / STANDARD_GRAVITY_M_S2);
@@ -155,4 +173,30 @@ fn rms(norms: impl Iterator<Item = f32>) -> f32 {
         number += 1;
     }
     (sum / number.max(1) as f32).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use aplomb::calibration::accelerometer::Pose;
+
+    use super::*;
+
+    #[test]
+    fn a_fit_that_makes_the_held_out_poses_worse_is_refused() {
+        let found = |even_g: f32, odd_g: f32| {
+            let poses = Pose::GUIDE.into_iter().flat_map(|pose| {
+                [even_g, odd_g].map(|offset| pose.up() + Vector3::new(offset, 0.0, 0.0))
+            });
+            let poses: Vec<Vector3> = poses.collect();
+            Found {
+                rule: "nearly_still",
+                fit: accelerometer::fit(&poses).expect("a fit"),
+                poses,
+                gyroscope: Err(String::new()),
+            }
+        };
+        assert_eq!(found(0.03, 0.02).check_held_out(), Ok(()));
+        let refused = found(0.03, -0.03).check_held_out().unwrap_err();
+        assert!(refused.contains("does not improve the others"), "{refused}");
+    }
 }
