@@ -132,7 +132,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let accelerometer = recording
         .accelerometer(&mut report)
         .map_err(|reason| format!("{}: {reason}", input.display()));
-    let compass = compass::find(&recording, options.compass_delay_us)
+    let sensors = accelerometer.as_ref().ok();
+    let compass = compass::find(&recording, options.compass_delay_us, sensors)
         .map(|found| found.map_err(|reason| format!("compass: {reason}")));
     match (&accelerometer, &compass) {
         (Err(reason), None) => return Err(reason.clone().into()),
@@ -226,5 +227,17 @@ impl Recording {
     fn is_pause(&self, before_us: i64, after_us: i64) -> bool {
         let shortest_us = SHORTEST_PAUSE_US.max(self.step_us.saturating_mul(SHORTEST_PAUSE_STEPS));
         before_us.abs_diff(after_us) > shortest_us
+    }
+
+    /// Returns the length of the longest pause and the time of its start, s.
+    fn longest_pause_s(&self) -> Option<(f64, f64)> {
+        let pairs = self.samples.windows(2);
+        let steps_us = pairs.map(|pair| (pair[0].t_us, pair[1].t_us));
+        let pauses_us =
+            steps_us.filter(|(before_us, after_us)| self.is_pause(*before_us, *after_us));
+        let (before_us, after_us) =
+            pauses_us.max_by_key(|(before_us, after_us)| before_us.abs_diff(*after_us))?;
+        let length_us = before_us.abs_diff(after_us);
+        Some((length_us as f64 * 1e-6, before_us as f64 * 1e-6))
     }
 }

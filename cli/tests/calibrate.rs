@@ -278,6 +278,118 @@ fn a_compass_that_was_turned_too_little_or_disturbed_is_refused_with_the_reason(
     );
 }
 
+/// Returns the rotation that turns this direction of the sensor up.
+fn lay(pose: Pose) -> Quaternion {
+    let up = pose.up();
+    let [x, y, z] = [up.x, up.y, up.z].map(f64::from);
+    let angle = z.clamp(-1.0, 1.0).acos();
+    let length = x.hypot(y);
+    let axis = if length > 0.01 {
+        [y / length, -x / length, 0.0]
+    } else {
+        [1.0, 0.0, 0.0]
+    };
+    Quaternion::from_rotation_vector(axis.map(|part| part * angle))
+}
+
+/// Returns a log at 200 Hz of twelve poses, two seconds each, and of turns about all axes.
+fn posed_and_turned() -> String {
+    let attitude = |time_s: f64| {
+        let nth = (time_s / 3.5) as usize;
+        if nth >= 12 {
+            let t = time_s - 42.0;
+            return Quaternion::from_euler(
+                3.0 * (0.9 * t).sin(),
+                1.5 * (0.53 * t).sin(),
+                2.8 * (0.31 * t).sin(),
+            );
+        }
+        let from = lay(Pose::GUIDE[nth]);
+        let to = Pose::GUIDE
+            .get(nth + 1)
+            .map_or(Quaternion::IDENTITY, |pose| lay(*pose));
+        let part = ((time_s - 3.5 * nth as f64 - 2.0) / 1.5).max(0.0);
+        let part = 0.5 - 0.5 * (std::f64::consts::PI * part).cos();
+        let way = from.conjugate().multiply(to).to_rotation_vector();
+        from.multiply(Quaternion::from_rotation_vector(
+            way.map(|angle| part * angle),
+        ))
+    };
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n");
+    for index in 0..15_000 {
+        let time_s = 0.005 * f64::from(index);
+        let to_sensor = attitude(time_s).conjugate();
+        let turn = attitude(time_s - 0.0025).conjugate();
+        let turn = turn.multiply(attitude(time_s + 0.0025));
+        let [gx, gy, gz] = turn.to_rotation_vector().map(|angle| angle / 0.005);
+        let [ax, ay, az] = to_sensor.rotate([0.0, 0.0, GRAVITY]);
+        let (ax, ay, az) = (ax + 0.6, ay - 0.6, az + 0.8);
+        let (gx, gy) = (1.03 * gx, 0.97 * gy);
+        let [x, y, z] = to_sensor.rotate([20.0, 0.0, -44.0]);
+        let [hx, hy, hz] = HARD_IRON_UT;
+        let (x, y, z) = (x + hx, y + hy, z + hz);
+        writeln!(
+            text,
+            "{},{ax},{ay},{az},{gx},{gy},{gz},{x},{y},{z}",
+            5_000 * index
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[test]
+fn the_compass_is_fitted_with_the_calibration_of_the_other_sensors() {
+    let json = calibrate("compass-after", &posed_and_turned(), &["--json"]).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let compass = &found["compass"];
+    assert!(compass["residual_ut"].as_f64() < Some(0.3), "{json}");
+    for (row, hard_iron) in HARD_IRON_UT.into_iter().enumerate() {
+        let found = compass["hard_iron_ut"][row].as_f64().unwrap();
+        assert!((found - hard_iron).abs() < 0.3, "{json}");
+    }
+}
+
+#[test]
+fn a_compass_without_enough_readings_is_told_what_to_do() {
+    let text = turned(1.0, 0.0);
+    let rows: Vec<&str> = text.lines().collect();
+    let part = |from: usize, to: usize| [&rows[..1], &rows[from..to]].concat().join("\n") + "\n";
+    let at_once = calibrate("compass-at-once", &part(500, 1_300), &[]).unwrap_err();
+    assert!(
+        at_once.contains("came before the tilt was known: begin with a rest of 3 s"),
+        "{at_once}"
+    );
+    let short = calibrate("compass-short", &part(1, 901), &[]).unwrap_err();
+    assert!(short.contains("readings: record longer"), "{short}");
+}
+
+#[test]
+fn a_pause_is_named_where_the_compass_contradicts_the_motion() {
+    let text = turned(1.0, 25.0);
+    let rows: Vec<&str> = text.lines().collect();
+    let paused = [&rows[..3_002], &rows[3_401..]].concat().join("\n") + "\n";
+    let paused = calibrate("compass-pause", &paused, &[]).unwrap_err();
+    assert!(
+        paused.contains("the recording pauses for 2.0 s at 15.0 s: record it in one piece"),
+        "{paused}"
+    );
+}
+
+#[test]
+fn a_field_that_points_up_is_named() {
+    let mut text = String::new();
+    for row in turned(1.0, 0.0).lines() {
+        let (cells, z) = row.rsplit_once(',').unwrap();
+        let sign = if z.is_empty() || z == "mz" { "" } else { "-" };
+        writeln!(text, "{cells},{}", format!("{sign}{z}").replace("--", "")).unwrap();
+    }
+    let printed = calibrate("compass-up", &text, &[]).unwrap();
+    assert!(printed.contains("the field points up"), "{printed}");
+    let json = calibrate("compass-up", &text, &["--json"]).unwrap();
+    assert!(json.contains("\"dip_deg\":-"), "{json}");
+}
+
 /// Writes a simulated recording of twelve poses, and returns its path.
 fn simulated_poses(test: &str, seed: &str) -> PathBuf {
     let poses = path(test, "poses.csv");

@@ -5,12 +5,12 @@ use std::fmt;
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::calibration::Mount;
 use aplomb::calibration::compass::{CompassFit, CompassFitError, CompassFitter};
-use aplomb::estimator;
 use aplomb::pipeline::Pipeline;
 use aplomb::units::{SECONDS_PER_MICROSECOND, degrees, radians};
 use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 
 use super::Recording;
+use super::report::Found;
 
 /// Largest σ of the tilt of an attitude that the fit uses.
 const LARGEST_TILT_SIGMA_RAD: f32 = radians(5.0);
@@ -31,18 +31,29 @@ pub struct CompassFound {
 }
 
 /// Finds the calibration of the compass, if there is one. Readings are this much older than the
-/// samples of their rows.
-pub fn find(recording: &Recording, delay_us: u32) -> Option<Result<CompassFound, CompassFitError>> {
+/// samples of their rows. The calibration of the other sensors improves the attitudes. The error is
+/// the reason why there is none.
+pub fn find(
+    recording: &Recording,
+    delay_us: u32,
+    sensors: Option<&Found>,
+) -> Option<Result<CompassFound, String>> {
     let mut fields = recording.samples.iter().map(|sample| sample.field_ut);
     if fields.all(|field| field.is_none()) {
         return None;
     }
     let mut settings = recording.settings;
+    settings.mount = MOUNT;
+    if let Some(found) = sensors {
+        settings.calibration.accelerometer = Some(found.fit.correction);
+        settings.calibration.gyroscope_matrix = found.gyroscope.as_ref().ok().map(|fit| fit.matrix);
+    }
     let times_us = recording.samples.iter().take(ROWS_AHEAD);
     let times_us: Vec<i64> = times_us.map(|sample| sample.t_us).collect();
     settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);
     let mut pipeline = Pipeline::new(&settings);
     let mut fitter = CompassFitter::new();
+    let mut without_tilt = 0;
     let age_s = delay_us as f32 * SECONDS_PER_MICROSECOND;
     for sample in &recording.samples {
         let raw = &sample.raw;
@@ -50,9 +61,10 @@ pub fn find(recording: &Recording, delay_us: u32) -> Option<Result<CompassFound,
             .accelerometer
             .to_m_s2(settings.sensor.accelerometer_range);
         let rates = raw.gyroscope.to_rad_s(settings.sensor.gyroscope_range);
-        let (force, rates) = (MOUNT.to_body(force), MOUNT.to_body(rates));
-        let snapshot =
-            pipeline.update_sample(&estimator::Sample::new(unsigned(sample.t_us), force, rates));
+        let mut corrected = pipeline.calibrated_sample(unsigned(sample.t_us), force, rates);
+        corrected.is_force_saturated = raw.accelerometer.is_saturated();
+        corrected.is_rate_saturated = raw.gyroscope.is_saturated();
+        let snapshot = pipeline.update_sample(&corrected);
         let Some([x, y, z]) = sample.field_ut else {
             continue;
         };
@@ -64,10 +76,34 @@ pub fn find(recording: &Recording, delay_us: u32) -> Option<Result<CompassFound,
                 .multiply(Quaternion::from_rotation_vector(back));
             let reading = MOUNT.to_body(Vector3::new(x as f32, y as f32, z as f32)).0;
             fitter.add(attitude, reading);
+        } else {
+            without_tilt += 1;
         }
     }
     let found = fitter.fit(MOUNT);
-    Some(found.map(|fit| CompassFound::new(&fit, fitter.readings())))
+    Some(
+        found
+            .map(|fit| CompassFound::new(&fit, fitter.readings()))
+            .map_err(|error| refusal(&error, without_tilt, recording)),
+    )
+}
+
+/// Returns why there is no calibration, and what to do.
+fn refusal(error: &CompassFitError, without_tilt: u32, recording: &Recording) -> String {
+    let mut text = error.to_string();
+    if let CompassFitError::TooFew { have } = *error {
+        text += &if without_tilt > have {
+            format!("; {without_tilt} came before the tilt was known: begin with a rest of 3 s")
+        } else {
+            ": record longer".to_owned()
+        };
+    }
+    if let Some((seconds, at_s)) = recording.longest_pause_s() {
+        text += &format!(
+            "; the recording pauses for {seconds:.1} s at {at_s:.1} s: record it in one piece"
+        );
+    }
+    text
 }
 
 impl CompassFound {
@@ -125,6 +161,14 @@ impl fmt::Display for CompassFound {
         writeln!(formatter, "hard iron {x:+.2} {y:+.2} {z:+.2} µT")?;
         for (name, [x, y, z]) in ["matrix", "      ", "      "].into_iter().zip(matrix) {
             writeln!(formatter, "{name} {x:+.4} {y:+.4} {z:+.4}")?;
+        }
+        // No fit tells a compass with a negated axis from one in the opposite field.
+        if *dip_deg < 0.0 {
+            writeln!(
+                formatter,
+                "the field points up, which is right only in the south: else an axis has the \
+                 wrong sign, and the heading is 180° wrong"
+            )?;
         }
         if !is_mount_that_of_the_imu {
             writeln!(
