@@ -32,7 +32,7 @@ use crate::i2c::I2cOptions;
 use crate::progress;
 
 use report::json;
-use samples::{Sample, finest_config, read_bursts, read_rows, to_samples};
+use samples::{Sample, find_plateaus, finest_config, read_bursts, read_rows, to_samples};
 
 /// Fewest rows of a rest.
 const LEAST_ROWS: usize = 10;
@@ -185,12 +185,17 @@ impl Recording {
             Form::Log(columns) => {
                 let is_raw = options.counts.raw;
                 let rows = read_rows(Rows::new(lines, columns, options.rows, is_raw)?)?;
+                let at_line = |(line, reason)| format!("{}:{line}: {reason}", path.display());
+                let mut clipped = None;
                 if !is_raw {
                     config = finest_config(&rows)
                         .map_err(|reason| format!("{}: {reason}", path.display()))?;
+                    if let Some((plateaus, message)) = find_plateaus(&rows) {
+                        eprintln!("warning: {}: {message}", path.display());
+                        clipped = Some(plateaus);
+                    }
                 }
-                to_samples(&rows, &config, is_raw)
-                    .map_err(|(line, reason)| format!("{}:{line}: {reason}", path.display()))?
+                to_samples(&rows, &config, is_raw, clipped).map_err(at_line)?
             }
         };
         if samples.len() < LEAST_ROWS {

@@ -351,6 +351,25 @@ fn the_compass_is_fitted_with_the_calibration_of_the_other_sensors() {
 }
 
 #[test]
+fn a_turn_at_full_scale_in_si_units_is_discarded() {
+    let mut text = String::new();
+    for row in posed_and_turned().lines().take(8_400) {
+        let cells = row.split(',').take(7).enumerate();
+        let cells = cells.map(|(index, cell)| match cell.parse::<f64>() {
+            Ok(rate) if index > 3 => rate.clamp(-1.9, 1.9).to_string(),
+            _ => cell.to_owned(),
+        });
+        writeln!(text, "{}", cells.collect::<Vec<_>>().join(",")).unwrap();
+    }
+    let input = file("clipped", "input.csv", &text);
+    let result = aplomb(&["calibrate", input.to_str().unwrap()]);
+    let printed = String::from_utf8(result.stdout).unwrap();
+    assert!(printed.contains("or a full-scale rate"), "{printed}");
+    let warned = String::from_utf8(result.stderr).unwrap();
+    assert!(warned.contains("clipped: gyroscope gx at "), "{warned}");
+}
+
+#[test]
 fn a_compass_without_enough_readings_is_told_what_to_do() {
     let text = turned(1.0, 0.0);
     let rows: Vec<&str> = text.lines().collect();

@@ -7,6 +7,7 @@ use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::log::{Lines, Row, Rows};
+use aplomb_recordings::plateau::Plateaus;
 
 /// Sample of a recording.
 pub struct Sample {
@@ -78,18 +79,38 @@ pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
         .with_gyroscope_range(gyroscope_range))
 }
 
-/// Converts rows to counts. The error has the line of the fault.
+/// Returns the values at which axes of a recording in SI units are clipped, with their message.
+/// `None` if no axis is clipped.
+pub fn find_plateaus(rows: &[(u64, Row)]) -> Option<(Plateaus, String)> {
+    let mut plateaus = Plateaus::default();
+    for (_, row) in rows {
+        plateaus.check(row.specific_force_m_s2, row.rates_rad_s);
+    }
+    let message = plateaus.message()?;
+    Some((plateaus, message))
+}
+
+/// Sets the largest of three axes to full scale.
+fn saturate(counts: &mut [i16; 3]) {
+    if let Some(largest) = counts.iter_mut().max_by_key(|count| count.unsigned_abs()) {
+        *largest = if *largest < 0 { i16::MIN } else { i16::MAX };
+    }
+}
+
+/// Converts rows to counts. Clipped values in SI units read full scale. The error has the line of
+/// the fault.
 pub fn to_samples(
     rows: &[(u64, Row)],
     config: &Config,
     is_raw: bool,
+    mut clipped: Option<Plateaus>,
 ) -> Result<Vec<Sample>, (u64, String)> {
     let per_m_s2 =
         f64::from(config.accelerometer_range.counts_per_g()) / f64::from(STANDARD_GRAVITY_M_S2);
     let per_rad_s =
         f64::from(config.gyroscope_range.counts_per_degree_s()) * f64::from(DEGREES_PER_RADIAN);
     let to_sample = |(line, row): &(u64, Row)| {
-        let [accelerometer, gyroscope] = if is_raw {
+        let [mut accelerometer, mut gyroscope] = if is_raw {
             counts(row).map_err(|reason| (*line, reason))?
         } else {
             [
@@ -99,6 +120,15 @@ pub fn to_samples(
                     .map(|value| (value * per_rad_s).round() as i16),
             ]
         };
+        if let Some(clipped) = &mut clipped {
+            let is_clipped = clipped.check(row.specific_force_m_s2, row.rates_rad_s);
+            if is_clipped.force {
+                saturate(&mut accelerometer);
+            }
+            if is_clipped.rate {
+                saturate(&mut gyroscope);
+            }
+        }
         let mut raw = RawSample::default();
         raw.accelerometer.0 = accelerometer;
         raw.gyroscope.0 = gyroscope;
