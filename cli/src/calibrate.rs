@@ -188,8 +188,7 @@ impl Recording {
                 let at_line = |(line, reason)| format!("{}:{line}: {reason}", path.display());
                 let mut clipped = None;
                 if !is_raw {
-                    config = finest_config(&rows)
-                        .map_err(|reason| format!("{}: {reason}", path.display()))?;
+                    config = finest_config(&rows).map_err(at_line)?;
                     if let Some((plateaus, message)) = find_plateaus(&rows) {
                         eprintln!("warning: {}: {message}", path.display());
                         clipped = Some(plateaus);

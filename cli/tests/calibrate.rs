@@ -141,6 +141,16 @@ fn what_cannot_be_used_is_refused_with_its_reason() {
 
     let forgotten = calibrate("forgotten", &recording(&Pose::GUIDE, 0.0), &[]).unwrap_err();
     assert!(forgotten.contains("add --raw"), "{forgotten}");
+    let text = turned(1.0, 0.0);
+    let row = text.lines().nth(499).unwrap();
+    let mut cells: Vec<&str> = row.split(',').collect();
+    cells[1] = "170";
+    let glitch = text.replace(row, &cells.join(","));
+    let glitch = calibrate("glitch", &glitch, &[]).unwrap_err();
+    assert!(
+        glitch.contains(":500: 17.3 g is more than any range of the sensor"),
+        "{glitch}"
+    );
     let empty = calibrate("empty", "t_us,ax,ay,az,gx,gy,gz\n", &[]).unwrap_err();
     assert!(empty.contains("too few to find a rest in"), "{empty}");
     let other = calibrate("other", "a,b\n", &[]).unwrap_err();
@@ -352,21 +362,37 @@ fn the_compass_is_fitted_with_the_calibration_of_the_other_sensors() {
 
 #[test]
 fn a_turn_at_full_scale_in_si_units_is_discarded() {
-    let mut text = String::new();
-    for row in posed_and_turned().lines().take(8_400) {
-        let cells = row.split(',').take(7).enumerate();
-        let cells = cells.map(|(index, cell)| match cell.parse::<f64>() {
-            Ok(rate) if index > 3 => rate.clamp(-1.9, 1.9).to_string(),
-            _ => cell.to_owned(),
-        });
-        writeln!(text, "{}", cells.collect::<Vec<_>>().join(",")).unwrap();
-    }
+    let text = with_rates(|_, rate| rate.clamp(-1.9, 1.9));
     let input = file("clipped", "input.csv", &text);
     let result = aplomb(&["calibrate", input.to_str().unwrap()]);
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(printed.contains("or a full-scale rate"), "{printed}");
     let warned = String::from_utf8(result.stderr).unwrap();
     assert!(warned.contains("clipped: gyroscope gx at "), "{warned}");
+}
+
+/// Returns the log of twelve poses with other rates, by their columns.
+fn with_rates(change: impl Fn(usize, f64) -> f64) -> String {
+    let mut text = String::new();
+    for row in posed_and_turned().lines().take(8_400) {
+        let cells = row.split(',').take(7).enumerate();
+        let cells = cells.map(|(index, cell)| match cell.parse::<f64>() {
+            Ok(rate) if index > 3 => change(index, rate).to_string(),
+            _ => cell.to_owned(),
+        });
+        writeln!(text, "{}", cells.collect::<Vec<_>>().join(",")).unwrap();
+    }
+    text
+}
+
+#[test]
+fn rates_of_a_wrong_sign_or_range_are_named() {
+    let about_x =
+        |factor: f64| with_rates(|column, rate| if column == 4 { factor * rate } else { rate });
+    let negated = calibrate("negated", &about_x(-1.0), &[]).unwrap();
+    assert!(negated.contains("an axis has the wrong sign"), "{negated}");
+    let quarter = calibrate("quarter", &about_x(0.25), &[]).unwrap();
+    assert!(quarter.contains("; 1 shorter than 30°"), "{quarter}");
 }
 
 #[test]
@@ -490,7 +516,7 @@ fn a_slow_recording_finds_the_same_matrix_and_one_with_gaps_names_them() {
     }
     let printed = calibrate("gaps", &every(33), &[]).unwrap();
     assert!(
-        printed.contains("have a gap of more than 25 ms or a full-scale rate: record at 100 Hz"),
+        printed.contains("; 11 with a gap of more than 25 ms or a full-scale rate: record"),
         "{printed}"
     );
 }
@@ -500,7 +526,7 @@ fn without_turns_the_gyroscope_is_not_calibrated_and_the_reason_is_told() {
     let text = recording(&Pose::GUIDE, 0.0);
     let printed = calibrate("turns", &text, &RAW).unwrap();
     assert!(
-        printed.ends_with("gyroscope scale not found: 0 of at least 8 turns\n"),
+        printed.contains("gyroscope scale not found: 0 of at least 8 turns; 11 shorter than 30°"),
         "{printed}"
     );
     let six = recording(&Pose::GUIDE[..6], 0.0);

@@ -72,6 +72,11 @@ pub(crate) fn difference(header: &str) -> String {
     if header.contains('\r') {
         return "the lines end with carriage returns alone; save the file with line feeds".into();
     }
+    if header.contains(['[', '(']) && is_log(&without_units(header)) {
+        return "the names hold units; write the names alone, such as ax, and name the units by \
+                options such as --force-unit g and --rate-unit deg/s"
+            .into();
+    }
     for (separator, name) in [(';', "semicolons"), ('\t', "tabs"), (' ', "spaces")] {
         if header.contains(separator) && is_log(&header.replace(separator, ",")) {
             let decimals = if separator == ';' {
@@ -112,6 +117,13 @@ pub(crate) fn difference(header: &str) -> String {
         Some(name) => format!("{name} is missing; rename the column, or add it"),
         None => String::new(),
     }
+}
+
+/// Returns a header whose names end before their first bracket.
+fn without_units(header: &str) -> String {
+    let names = header.split(',').map(|name| name.split(['[', '(']).next());
+    let names: Vec<&str> = names.flatten().map(str::trim).collect();
+    names.join(",")
 }
 
 fn is_number(cell: &str) -> bool {
@@ -157,6 +169,8 @@ mod tests {
             (LOG.replace(',', ";"), "semicolons"),
             (LOG.replace(',', "\t"), "tabs"),
             (LOG.to_uppercase(), "lower case"),
+            (LOG.replace("ax", "ax [g]"), "the names hold units"),
+            (LOG.replace("gz", "gz (deg/s)"), "the names hold units"),
             (format!("\"{}\"", LOG.replace(',', "\",\"")), "in quotes"),
             (LOG.replace("t_us", "time"), "t_us is missing"),
             (LOG.replace(",gz", ""), "gz is missing"),

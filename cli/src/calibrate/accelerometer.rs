@@ -41,11 +41,12 @@ impl Recording {
         let error = match accelerometer::fit(rested.collector.readings()) {
             Ok(fit) => {
                 rested.describe(report);
+                let poses = rested.collector.readings().to_vec();
                 return Ok(Found {
                     rule: "rest",
-                    poses: rested.collector.readings().to_vec(),
+                    gyroscope: rested.turns.fit(&fit, &poses),
+                    poses,
                     fit,
-                    gyroscope: rested.turns.fit(&fit),
                 });
             }
             Err(error) => error,

@@ -46,34 +46,35 @@ pub fn read_rows(mut reader: Rows) -> Result<Vec<(u64, Row)>, Box<dyn Error>> {
     Ok(rows)
 }
 
-/// Returns the smallest ranges that hold a recording's values.
-pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, String> {
+/// Returns the smallest ranges that hold a recording's values. The error has the line of the
+/// largest value, if none holds it.
+pub fn finest_config(rows: &[(u64, Row)]) -> Result<Config, (u64, String)> {
     let largest = |values: fn(&Row) -> [f64; 3]| {
-        rows.iter()
-            .flat_map(|(_, row)| values(row))
-            .fold(0.0_f64, |largest, value| largest.max(value.abs()))
+        let norms = rows.iter().map(|(line, row)| {
+            let largest = values(row).into_iter().map(f64::abs).fold(0.0, f64::max);
+            (*line, largest)
+        });
+        norms.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default()
     };
-    let g = largest(|row| row.specific_force_m_s2) / f64::from(STANDARD_GRAVITY_M_S2);
-    let degrees_s = largest(|row| row.rates_rad_s) * f64::from(DEGREES_PER_RADIAN);
+    let (force_line, m_s2) = largest(|row| row.specific_force_m_s2);
+    let (rate_line, rad_s) = largest(|row| row.rates_rad_s);
+    let g = m_s2 / f64::from(STANDARD_GRAVITY_M_S2);
+    let degrees_s = rad_s * f64::from(DEGREES_PER_RADIAN);
     let fits = |value: f64, counts: f32| value * f64::from(counts) < 32_767.0;
+    let refuse = |value: f64, unit: &str| {
+        format!(
+            "{value:.1} {unit} is more than any range of the sensor: if the recording holds \
+             counts, add --raw; else remove this row"
+        )
+    };
     let accelerometer_range = AccelerometerRange::ALL
         .into_iter()
         .find(|range| fits(g, range.counts_per_g()))
-        .ok_or_else(|| {
-            format!(
-                "{g:.0} g is more than any range of the sensor: \
-                 if the recording holds counts, add --raw"
-            )
-        })?;
+        .ok_or_else(|| (force_line, refuse(g, "g")))?;
     let gyroscope_range = GyroscopeRange::ALL
         .into_iter()
         .find(|range| fits(degrees_s, range.counts_per_degree_s()))
-        .ok_or_else(|| {
-            format!(
-                "{degrees_s:.0} °/s is more than any range of the sensor: \
-                 if the recording holds counts, add --raw"
-            )
-        })?;
+        .ok_or_else(|| (rate_line, refuse(degrees_s, "°/s")))?;
     Ok(Config::DEFAULT
         .with_accelerometer_range(accelerometer_range)
         .with_gyroscope_range(gyroscope_range))
