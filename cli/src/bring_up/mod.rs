@@ -101,7 +101,7 @@ impl Step {
             Self::Temperature => ("temperature", "5 to 55 C, a few degrees above the room"),
             Self::Poses => (
                 "six poses",
-                "1 g in each: 130 mg before, 15 mg after the fit at most",
+                "1 g in each: offset within 50 mg (z: 80 mg), scale within 3 %",
             ),
             Self::Turns => (
                 "turns by hand",

@@ -2,18 +2,18 @@
 
 use std::time::{Duration, Instant};
 
+use aplomb::units::STANDARD_GRAVITY_M_S2;
 use aplomb_recordings::terminal::print_line;
 
 use super::report::Finding;
 use super::wiring::show;
-use crate::stream::{Item, field};
+use crate::stream::{Item, field, numbers};
 use crate::talk::Talk;
 
-/// Largest residual of the poses before the calibration, mg: 3 % of scale and an offset of 80 mg on
-/// the worst axis (product specification, 6.2), together.
-const MOST_BEFORE_MG: f64 = 130.0;
-/// Largest residual after it. A surface is flat to about half a degree, 9 mg.
-const MOST_AFTER_MG: f64 = 15.0;
+/// Largest offsets, mg (product specification, 6.2).
+const MOST_OFFSET_MG: [f64; 3] = [50.0, 50.0, 80.0];
+/// Largest error of scale (product specification, 6.2).
+const MOST_SCALE: f64 = 0.03;
 
 /// Smallest turn that counts, degrees.
 const TURN_DEG: f32 = 25.0;
@@ -30,15 +30,36 @@ pub fn poses(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
             return Ok(Finding::skipped(reason));
         }
     };
-    // "… residual 63.79 mg before, 0.00 mg after"
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let before = words.windows(2).filter(|pair| pair[1] == "mg");
-    let residuals: Vec<f64> = before.filter_map(|pair| pair[0].parse().ok()).collect();
-    let is_good = matches!(residuals[..], [before, after]
-        if before <= MOST_BEFORE_MG && after <= MOST_AFTER_MG);
-    Ok(Finding::new(is_good, text).advise(
+    // Six poses with six parameters always leave no residual: only the result can be wrong.
+    let Some((is_good, found)) = within_datasheet(&talk.ask("show")?) else {
+        return Ok(Finding::bad(text, "`show` names no calibration: repeat it"));
+    };
+    Ok(Finding::new(is_good, format!("{text}; {found}")).advise(
         "repeat it on a flat table, with the module's edges as feet; a part that stays beyond \
          its datasheet (3 % of scale, 50 to 80 mg of offset) is damaged",
+    ))
+}
+
+/// Returns whether offset and scale in an answer to `show` are within the datasheet, and both as
+/// text; `None` if there are none.
+fn within_datasheet(answer: &str) -> Option<(bool, String)> {
+    let offset = numbers(answer, "accel_offset");
+    let matrix = numbers(answer, "accel_matrix");
+    let (&[x, y, z], &[xx, yy, zz, ..]) = (&offset[..], &matrix[..]) else {
+        return None;
+    };
+    let offset_mg = [x, y, z].map(|m_s2| m_s2 / f64::from(STANDARD_GRAVITY_M_S2) * 1000.0);
+    // The matrix is the inverse of the scale.
+    let scale = [xx, yy, zz].map(|element| 1.0 / element - 1.0);
+    let offsets = offset_mg.iter().zip(MOST_OFFSET_MG);
+    let is_good = offsets
+        .into_iter()
+        .all(|(offset, most)| offset.abs() <= most)
+        && scale.iter().all(|scale| scale.abs() <= MOST_SCALE);
+    let ([ox, oy, oz], [sx, sy, sz]) = (offset_mg, scale.map(|scale| 100.0 * scale));
+    Some((
+        is_good,
+        format!("offset {ox:.0} {oy:.0} {oz:.0} mg, scale {sx:+.1} {sy:+.1} {sz:+.1} %"),
     ))
 }
 
@@ -159,6 +180,27 @@ pub fn turns(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_offset_or_a_scale_beyond_the_datasheet_is_bad() {
+        let answer = |offset: &str, diagonal: &str| {
+            format!(
+                "show mount=+x-z accel_offset={offset} accel_matrix={diagonal},0,0,0 level=none"
+            )
+        };
+        for (offset, diagonal, is_good) in [
+            ("0.485,-0.485,0.780", "1.0300,0.9715,1", true),
+            ("0.495,0,0", "1,1,1", false),
+            ("0,-0.495,0", "1,1,1", false),
+            ("0,0,0.790", "1,1,1", false),
+            ("0,0,0", "1,0.9695,1", false),
+            ("0,0,0", "1,1,1.0320", false),
+        ] {
+            let judged = within_datasheet(&answer(offset, diagonal));
+            assert_eq!(judged.expect("an offset").0, is_good, "{offset} {diagonal}");
+        }
+        assert_eq!(within_datasheet("show accel_offset=none level=none"), None);
+    }
 
     #[test]
     fn a_turn_is_judged_by_axis_and_sign() {
