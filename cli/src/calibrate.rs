@@ -17,6 +17,7 @@ use std::error::Error;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use aplomb::calibration::Calibration;
 use aplomb::mpu6050::{Config, Part};
 use aplomb::pipeline::Settings;
 use aplomb_recordings::flight_log;
@@ -48,10 +49,10 @@ const SHORTEST_PAUSE_STEPS: u64 = 5;
 /// seconds; a dozen poses, edges included, show the cross-axis terms too. The turns between them
 /// then show the scale and the cross-axis terms of the gyroscope.
 ///
-/// With the columns mx,my,mz (µT) the compass is calibrated too: turn the sensor slowly to and fro
-/// about all axes for 30 s, each side down once, away from iron. One fit with the filter's
-/// attitudes finds hard iron, soft iron and gains. It is refused if over a fifth of the directions
-/// is missing, or if the readings contradict the motion.
+/// With the columns mx,my,mz (µT) the compass is calibrated too: lay it still for 3 s, then
+/// turn it slowly to and fro about all axes for 30 s, each side down once, away from iron. One
+/// fit with the filter's attitudes finds hard iron, soft iron and gains. It is refused if over a
+/// fifth of the directions is missing, or if the readings contradict the motion.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb calibrate poses.csv
@@ -59,10 +60,10 @@ const SHORTEST_PAUSE_STEPS: u64 = 5;
   aplomb calibrate --draw-poses poses.png
   aplomb calibrate --i2c /dev/i2c-1 --json > calibration.json
 
-JSON: rule (rest or nearly_still), poses, offset_m_s2, matrix (what corrects: times reading less offset),
-cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out poses,
-residual_before_g and residual_after_g of those held out; accelerometer_refused instead, if only
-the compass was found. gyroscope (turns, matrix, residual_before_deg, residual_after_deg), or
+JSON: rule (rest or nearly_still), poses, offset_m_s2, matrix (what corrects: times reading less
+offset), cross_axis_fitted, residual_before_g, residual_after_g, and held_out: fitted and held_out
+poses, residual_before_g and residual_after_g of those held out; accelerometer_refused instead, if
+only the compass was found. gyroscope (turns, matrix, residual_before_deg, residual_after_deg), or
 gyroscope_refused. With a compass: compass (readings, matrix times reading less hard_iron_ut is
 the field in sensor axes; strength_ut, dip_deg, residual_ut, is_mount_that_of_the_imu), or
 compass_refused.")]
@@ -132,8 +133,8 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let accelerometer = recording
         .accelerometer(&mut report)
         .map_err(|reason| format!("{}: {reason}", input.display()));
-    let sensors = accelerometer.as_ref().ok();
-    let compass = compass::find(&recording, options.compass_delay_us, sensors)
+    let sensors = (accelerometer.as_ref()).map_or(Calibration::NONE, report::Found::calibration);
+    let compass = compass::find(&recording, options.compass_delay_us, &sensors)
         .map(|found| found.map_err(|reason| format!("compass: {reason}")));
     match (&accelerometer, &compass) {
         (Err(reason), None) => return Err(reason.clone().into()),

@@ -3,14 +3,13 @@
 use std::fmt;
 
 use aplomb::attitude::{Quaternion, Vector3};
-use aplomb::calibration::Mount;
 use aplomb::calibration::compass::{CompassFit, CompassFitError, CompassFitter};
+use aplomb::calibration::{Calibration, Mount};
 use aplomb::pipeline::Pipeline;
 use aplomb::units::{SECONDS_PER_MICROSECOND, degrees, radians};
 use aplomb_recordings::rate::{ROWS_AHEAD, sample_rate_divider, unsigned};
 
 use super::Recording;
-use super::report::Found;
 
 /// Largest σ of the tilt of an attitude that the fit uses.
 const LARGEST_TILT_SIGMA_RAD: f32 = radians(5.0);
@@ -36,7 +35,7 @@ pub struct CompassFound {
 pub fn find(
     recording: &Recording,
     delay_us: u32,
-    sensors: Option<&Found>,
+    sensors: &Calibration,
 ) -> Option<Result<CompassFound, String>> {
     let mut fields = recording.samples.iter().map(|sample| sample.field_ut);
     if fields.all(|field| field.is_none()) {
@@ -44,10 +43,7 @@ pub fn find(
     }
     let mut settings = recording.settings;
     settings.mount = MOUNT;
-    if let Some(found) = sensors {
-        settings.calibration.accelerometer = Some(found.fit.correction);
-        settings.calibration.gyroscope_matrix = found.gyroscope.as_ref().ok().map(|fit| fit.matrix);
-    }
+    settings.calibration = *sensors;
     let times_us = recording.samples.iter().take(ROWS_AHEAD);
     let times_us: Vec<i64> = times_us.map(|sample| sample.t_us).collect();
     settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);

@@ -10,8 +10,8 @@ use aplomb::console::command::Command;
 
 use super::samples::Sample;
 
-/// Smallest angle between the poses before and after a turn that counts: cosine of 35°, so that the
-/// gyroscope's error leaves it above the fit's 30°.
+/// Smallest angle between the poses before and after a turn that counts: cosine of 35°, so that
+/// the gyroscope's error leaves it above the fit's 30°.
 const LEAST_TURN_COSINE: f32 = 0.819;
 /// Smallest product of two axes of a pose halfway between them, which is up to 0.5.
 const LEAST_EDGE: f32 = 0.25;
@@ -166,7 +166,7 @@ mod tests {
         assert_eq!(missing_edges(&poses), "x and y, x and z, y and z");
         poses.push(Vector3::new(0.7, -0.7, 0.0));
         assert_eq!(missing_edges(&poses), "x and z, y and z");
-        poses.extend(Pose::GUIDE.map(|pose| pose.up()));
+        poses.extend(Pose::GUIDE.map(Pose::up));
         assert_eq!(missing_edges(&poses), "two sides, with other edges down");
     }
 }

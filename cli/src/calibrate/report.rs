@@ -1,9 +1,9 @@
 //! Report of what a recording shows, as text and as JSON.
 
 use aplomb::attitude::Vector3;
-use aplomb::calibration::SymmetricMatrix;
 use aplomb::calibration::accelerometer::{self, AccelerometerFit};
 use aplomb::calibration::gyroscope::GyroscopeFit;
+use aplomb::calibration::{Calibration, SymmetricMatrix};
 use aplomb::units::STANDARD_GRAVITY_M_S2;
 
 use super::compass::CompassFound;
@@ -71,6 +71,14 @@ impl Found {
                 force.norm() / STANDARD_GRAVITY_M_S2
             })),
         })
+    }
+
+    /// Returns the calibration of both sensors, without the gyroscope's offset.
+    pub fn calibration(&self) -> Calibration {
+        let mut calibration = Calibration::NONE;
+        calibration.accelerometer = Some(self.fit.correction);
+        calibration.gyroscope_matrix = self.gyroscope.as_ref().ok().map(|fit| fit.matrix);
+        calibration
     }
 
     /// Refuses a fit that improves nothing for poses that it has not seen.
