@@ -53,6 +53,9 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
   aplomb replay ride.csv --armed-from 5
   aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
 
+Output: one row for each sample. tilt_sigma_deg is empty without a tilt, the heading's columns while
+the heading is unknown.
+
 JSON: input, filter, mount, samples, seconds, flags (how many samples have each); with truth
 inclination_samples, inclination_rms_deg, inclination_p95_deg, inclination_max_deg,
 within_3_sigma (a share), median_error_per_sigma; with a compass and truth heading_known (a share),

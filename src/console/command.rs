@@ -434,8 +434,8 @@ impl fmt::Display for ParseError {
             ),
             Self::NotADeclination(word) if compass::IS_BUILT_IN => write!(
                 formatter,
-                "\"{word}\" is no declination, which is from -180 to 180 degrees, east positive, \
-                 with up to two decimals, such as \"declination 3.5\""
+                "\"{word}\" is no declination: -180 to 180 degrees, east positive, two decimals \
+                 at most, such as \"declination 3.5\""
             ),
             // No angle is parsed without a compass.
             Self::NotADeclination(_) => Ok(()),
@@ -756,8 +756,8 @@ mod tests {
             ),
             (
                 "declination 180.01",
-                "\"180.01\" is no declination, which is from -180 to 180 degrees, east positive, \
-                 with up to two decimals, such as \"declination 3.5\"",
+                "\"180.01\" is no declination: -180 to 180 degrees, east positive, two decimals \
+                 at most, such as \"declination 3.5\"",
             ),
             (
                 "declination 3.5 E",

@@ -148,8 +148,8 @@ impl CompassProcedure {
         module.set_compass(settings, imu_mount);
         // No fit tells a compass with a negated axis from one in the opposite field.
         let caution = if fit.dip_rad < 0.0 {
-            "; the field points up, which is right only in the south: else an axis has the wrong \
-             sign, and the heading is 180 deg wrong"
+            "; the field points up: right only in the south, else an axis has the wrong sign and \
+             the heading is 180 deg wrong"
         } else {
             ""
         };

@@ -56,6 +56,7 @@ use core::f32::consts::PI;
 
 use crate::attitude::Vector3;
 use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
+use crate::estimator::arithmetic::smaller;
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
 use crate::health::{BoardFlags, Flags, Monitor, Vibration};
@@ -364,7 +365,7 @@ impl Pipeline {
         Some(WarmStart {
             attitude: latest.attitude,
             // Infinite without a tilt.
-            tilt_sigma_rad: latest.tilt_sigma_rad().min(PI),
+            tilt_sigma_rad: smaller(latest.tilt_sigma_rad(), PI),
             bias_rad_s: self.gyroscope_offset_body_rad_s(),
             bias_change_rad_s: filter.bias_change_rad_s(),
             bias_sigma_rad_s,

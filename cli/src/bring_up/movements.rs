@@ -36,7 +36,7 @@ pub fn poses(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
     };
     Ok(Finding::new(is_good, format!("{text}; {found}")).advise(
         "repeat it on a flat table, with the module's edges as feet; a part that stays beyond \
-         its datasheet (3 % of scale, 50 to 80 mg of offset) is damaged",
+         its datasheet (3 % of scale, 50 to 80 mg of offset) is a clone, or damaged",
     ))
 }
 
