@@ -1,6 +1,6 @@
 //! The judge of a flight: which of the campaign's rules the record of the flight breaks.
 
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 
 use aplomb::health::Flags;
 use aplomb::pipeline::Snapshot;
@@ -457,37 +457,57 @@ impl Judge<'_> {
             return None;
         }
         times_ns.push(self.end_ns());
-        let is_broken = |last_ns: u64, at_ns: u64| {
-            let held = case
-                .schedule
-                .faults
-                .iter()
-                .filter(|fault| {
-                    matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
-                })
-                .any(|fault| fault.start_ns < at_ns && fault.end_ns() > last_ns);
-            let erases = at_ns - last_ns <= LONGEST_ERASE_NS
-                && save_ns(case).is_some_and(|save| save.start < at_ns && save.end > last_ns);
-            // A start without its sensor sends no telemetry.
-            let lacks_sensor = |start: &RangeInclusive<u64>| {
-                case.schedule.faults.iter().any(|fault| {
-                    fault.kind.stops_sensor()
-                        && fault.start_ns <= *start.end()
-                        && end_ns(fault, self.record) >= *start.start()
-                })
-            };
-            let starts = self.starts_ns().any(|start| {
-                (*start.start()..*start.end()).contains(&last_ns) && lacks_sensor(&start)
-            });
-            let mut resets = self.record.resets_ns.iter();
-            held || erases || starts || resets.any(|reset_ns| (last_ns..=at_ns).contains(reset_ns))
-        };
         times_ns
             .windows(2)
-            .filter(|pair| !is_broken(pair[0], pair[1]))
-            .map(|pair| (pair[1] - pair[0], pair[0]))
+            .map(|pair| pair[0]..pair[1])
+            .filter(|pause| !self.is_allowed(case, pause))
+            .map(|pause| (pause.end - pause.start, pause.start))
             .max_by_key(|&(gap_ns, _)| gap_ns)
     }
+
+    /// Returns true if a pause may be of any length.
+    fn is_allowed(&self, case: &Case, pause: &Range<u64>) -> bool {
+        self.is_of_stopped_core(case, pause)
+            || is_of_erase(case, pause)
+            || self.is_of_start_without_sensor(case, pause)
+            || self.is_of_reset(pause)
+    }
+
+    /// Returns true if the core executes nothing in a part of the pause. A hang ends at its reset.
+    fn is_of_stopped_core(&self, case: &Case, pause: &Range<u64>) -> bool {
+        let mut faults = case.schedule.faults.iter();
+        faults.any(|fault| {
+            matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
+                && fault.start_ns < pause.end
+                && end_ns(fault, self.record) > pause.start
+        })
+    }
+
+    /// Returns true if the pause begins in a start without the sensor, which sends no telemetry.
+    fn is_of_start_without_sensor(&self, case: &Case, pause: &Range<u64>) -> bool {
+        let lacks_sensor = |start: &RangeInclusive<u64>| {
+            case.schedule.faults.iter().any(|fault| {
+                fault.kind.stops_sensor()
+                    && fault.start_ns <= *start.end()
+                    && end_ns(fault, self.record) >= *start.start()
+            })
+        };
+        self.starts_ns().any(|start| {
+            (*start.start()..*start.end()).contains(&pause.start) && lacks_sensor(&start)
+        })
+    }
+
+    /// Returns true if the core is reset in the pause.
+    fn is_of_reset(&self, pause: &Range<u64>) -> bool {
+        let mut resets = self.record.resets_ns.iter();
+        resets.any(|reset_ns| (pause.start..=pause.end).contains(reset_ns))
+    }
+}
+
+/// Returns true if the pause is that of a save's erase, and no longer.
+fn is_of_erase(case: &Case, pause: &Range<u64>) -> bool {
+    pause.end - pause.start <= LONGEST_ERASE_NS
+        && save_ns(case).is_some_and(|save| save.start < pause.end && save.end > pause.start)
 }
 
 /// Returns whether an axis has been stuck for so short a time that nothing shows it yet.

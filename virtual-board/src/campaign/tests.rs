@@ -668,7 +668,14 @@ fn telemetry_may_be_silent_until_the_sensor_is_back_after_a_reset() {
 
 #[test]
 fn telemetry_that_never_comes_or_not_after_a_reset_fails() {
-    let mut case = case("1.84 0 crash");
+    for fault in ["1.84 0 crash", "1.84 0 watchdog-hang"] {
+        telemetry_must_come_after_reset(fault);
+    }
+}
+
+/// Checks the judge with a flight that is reset at 1.85 s and has an attitude again at 1.99 s.
+fn telemetry_must_come_after_reset(fault: &str) {
+    let mut case = case(fault);
     case.seconds = 2.5;
     let mut record = record(&case, 1840 * MILLISECOND..1_990 * MILLISECOND);
     record.stale.clear();
