@@ -5,10 +5,10 @@ use embedded_hal::i2c::I2c;
 
 use super::choice::Choice;
 use super::fault::Fault;
-use super::part::{Bytes, LONGEST_READ, Step};
+use super::part::{Bytes, LONGEST_READ};
 use super::part_id::PartId;
 use super::self_test::SelfTest;
-use super::session::{Outcome, Session, TURN_MS, Transfer};
+use super::session::{Outcome, Session, TURN_MS, Transfer, transfer_of};
 use crate::attitude::Vector3;
 
 /// Turns that a search and a configuration take at most.
@@ -122,20 +122,7 @@ pub(crate) fn self_test<I2C: I2c>(
     let address = part.address();
     let mut bytes = [0; LONGEST_READ];
     for step in plan.steps {
-        let transfer = match *step {
-            Step::Write(register, value) => Transfer::Write {
-                address,
-                register,
-                value,
-            },
-            Step::Verify(register, _) | Step::Genuine(register, _) | Step::Trim(register) => {
-                Transfer::Read {
-                    address,
-                    register,
-                    length: 2,
-                }
-            }
-        };
+        let transfer = transfer_of(*step, address);
         if !perform(i2c, transfer, &mut bytes) {
             return Err(Fault::Lost(part));
         }

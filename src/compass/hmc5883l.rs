@@ -2,9 +2,12 @@
 //!
 //! Register numbers and limits are those of the Honeywell datasheet, form 900405 revision E.
 //!
-//! The data registers keep a measurement until all six are read. A reading lasts 20 ms and a
-//! measurement 13 ms, so each reading is a new one, and its status needs no look. A clone that is
-//! marked DA5883 has the same registers, but its status never shows a measurement.
+//! The data registers keep a measurement until all six are read. A reading comes every 20 ms and a
+//! measurement every 13 ms, so each reading is a new one, and its status needs no check. A read of
+//! the mode register locks the data registers too (table 17, LOCK). The first measurement comes
+//! 27 ms after a change of the settings, and the first after a change of the gain has the old gain.
+//!
+//! A clone that is marked DA5883 has the same registers, but its status never shows a measurement.
 
 use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step};
 
@@ -38,14 +41,19 @@ const COUNTS: core::ops::RangeInclusive<i16> = -2048..=2047;
 /// µT per count: 100 µT are a gauss.
 const UT_PER_COUNT: f32 = 100.0 / 660.0;
 
-const CONFIGURATION: [Step; 7] = [
+const CONFIGURATION: [Step; 9] = [
     Step::Write(CONFIG_A, EIGHT_SAMPLES_75_HZ),
     Step::Write(CONFIG_B, GAIN_660),
     Step::Write(MODE, CONTINUOUS),
-    Step::Verify(CONFIG_A, EIGHT_SAMPLES_75_HZ),
+    // Both read the mode register, which locks the data registers.
     Step::Verify(CONFIG_B, GAIN_660),
     Step::Verify(MODE, CONTINUOUS),
+    // Unlocks them.
+    Step::Drop(READING),
     Step::Genuine(STATUS, STATUS_READY),
+    // This measurement may be the first, and have the old gain. The next reading is a new one.
+    Step::Drop(READING),
+    Step::Verify(CONFIG_A, EIGHT_SAMPLES_75_HZ),
 ];
 
 /// Self-test with its limits at 660 counts per gauss: 243·660/390 and 575·660/390.
@@ -66,7 +74,8 @@ static FACTS: Facts = Facts {
     identification: IDENTIFICATION,
     identity: &IDENTITY,
     configuration: &CONFIGURATION,
-    setting: (CONFIG_B, GAIN_660),
+    // Not the gain, because the register after it is the mode.
+    setting: (CONFIG_A, EIGHT_SAMPLES_75_HZ),
     reading: READING,
     mean_age_us: 13_300,
     ut_per_count: UT_PER_COUNT,

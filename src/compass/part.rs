@@ -35,6 +35,8 @@ pub(super) enum Step {
     Trim(u8),
     /// Reads a status register, in which a genuine part has set this bit.
     Genuine(u8, u8),
+    /// Reads registers, and drops their bytes.
+    Drop(Registers),
 }
 
 /// Condition of a reading, by the part's status.

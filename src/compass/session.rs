@@ -174,20 +174,8 @@ impl Session {
                 Some(read(part.address(), Registers::new(first, identity.length)))
             }
             State::Configuring { part, step, .. } => {
-                let address = part.address();
-                let (register, length) =
-                    match *part.part().facts().configuration.get(usize::from(*step))? {
-                        Step::Write(register, value) => {
-                            return Some(Transfer::Write {
-                                address,
-                                register,
-                                value,
-                            });
-                        }
-                        Step::Verify(register, _) | Step::Genuine(register, _) => (register, 2),
-                        Step::Trim(register) => (register, 3),
-                    };
-                Some(read(address, Registers::new(register, length)))
+                let step = part.part().facts().configuration.get(usize::from(*step))?;
+                Some(transfer_of(*step, part.address()))
             }
             State::Running { part, turn } => {
                 *turn = (*turn + 1) % CHECK_TURNS;
@@ -225,7 +213,7 @@ impl Session {
                         if turn.is_multiple_of(2) {
                             self.take_reading(part, bytes)
                         } else {
-                            self.check_setting(part, bytes);
+                            self.check_setting(part, part.part().facts().setting, bytes);
                             None
                         }
                     }
@@ -413,15 +401,11 @@ impl Session {
                 self.fault = Some(Fault::Lost(part));
                 return;
             }
-            (Some(&Step::Verify(register, written)), Outcome::Read(&[read, ..]))
-                if read != written =>
-            {
-                Some(Fault::Settings {
-                    part,
-                    register,
-                    written,
-                    read,
-                })
+            (Some(&Step::Verify(register, written)), Outcome::Read(bytes)) => {
+                if !self.check_setting(part, (register, written), bytes) {
+                    return;
+                }
+                None
             }
             (Some(&Step::Trim(_)), Outcome::Read(&[x, y, z, ..])) => {
                 self.trims = [x, y, z];
@@ -467,8 +451,9 @@ impl Session {
         let part = id.part();
         let length = usize::from(part.facts().reading.length);
         let (used, _) = bytes.split_at_checked(length)?;
-        let is_blank = |byte: u8| used.iter().all(|used| *used == byte);
-        let (counter, limit, fault) = if is_blank(0x00) || is_blank(0xFF) {
+        let is_blank =
+            matches!(used, [byte @ (0x00 | 0xFF), ..] if used.iter().all(|used| used == byte));
+        let (counter, limit, fault) = if is_blank {
             (&mut self.bad, FEW, Fault::Blank)
         } else {
             match part.status(bytes) {
@@ -513,19 +498,49 @@ impl Session {
         Some(part.field_ut(part.adjust(counts, self.trims)))
     }
 
-    fn check_setting(&mut self, id: PartId, bytes: &Bytes) {
-        let (register, written) = id.part().facts().setting;
-        let &[read, ..] = bytes;
+    /// Returns true if a register reads as it was written, and else starts over.
+    #[inline(never)]
+    fn check_setting(
+        &mut self,
+        part: PartId,
+        (register, written): (u8, u8),
+        &[read, ..]: &Bytes,
+    ) -> bool {
         if read != written {
             self.fault = Some(Fault::Settings {
-                part: id,
+                part,
                 register,
                 written,
                 read,
             });
-            self.start_over(id);
+            self.start_over(part);
         }
+        read == written
     }
+}
+
+/// Returns the transfer of a step.
+///
+/// A read has two bytes at least, so a `Verify` reads the next register too. Of the registers that
+/// are verified or follow one, only the HMC5883L's mode register (0x02) has a side effect on
+/// reading: it locks the data registers until all six are read. In the other parts, reading
+/// data or status registers has one: AK8963 0x02 to 0x09, QMC5883L 0x00 to 0x06, QMC5883P 0x01 to
+/// 0x09. No `Verify` reaches them.
+#[inline(never)]
+pub(super) const fn transfer_of(step: Step, address: u8) -> Transfer {
+    let registers = match step {
+        Step::Write(register, value) => {
+            return Transfer::Write {
+                address,
+                register,
+                value,
+            };
+        }
+        Step::Verify(register, _) | Step::Genuine(register, _) => Registers::new(register, 2),
+        Step::Trim(register) => Registers::new(register, 3),
+        Step::Drop(registers) => registers,
+    };
+    read(address, registers)
 }
 
 const fn read(address: u8, registers: Registers) -> Transfer {

@@ -27,6 +27,8 @@ pub struct Hmc5883l {
     data: [i16; 3],
     /// Data registers that have been read since the last measurement, as bits.
     read: u8,
+    /// True if the mode register has been read, which locks the data too (table 17).
+    is_mode_read: bool,
     is_data_ready: bool,
 }
 
@@ -42,15 +44,18 @@ impl Hmc5883l {
             next_ns: None,
             data: [0; 3],
             read: 0,
+            is_mode_read: false,
             is_data_ready: false,
         };
         chip.start(0);
         chip
     }
 
+    /// Starts to measure, after a write to the mode or a configuration register. In continuous
+    /// mode the first measurement takes two periods (table 12).
     fn start(&mut self, now_ns: u64) {
         self.next_ns = match self.mode & 3 {
-            0 => Some(now_ns + self.period_ns()),
+            0 => Some(now_ns + 2 * self.period_ns()),
             1 => Some(now_ns + MEASUREMENT_NS),
             _ => None,
         };
@@ -61,7 +66,19 @@ impl Hmc5883l {
     }
 
     fn is_locked(&self) -> bool {
-        self.read != 0
+        self.read != 0 || self.is_mode_read
+    }
+
+    fn unlock(&mut self) {
+        (self.read, self.is_mode_read) = (0, false);
+    }
+
+    /// Takes a new value of a configuration register.
+    fn configure(&mut self, now_ns: u64) {
+        // A single measurement that is over does not begin again.
+        if self.mode == 0 {
+            self.start(now_ns);
+        }
     }
 }
 
@@ -87,12 +104,15 @@ impl Chip for Hmc5883l {
         match register {
             0x00 => self.config_a,
             0x01 => self.config_b,
-            0x02 => self.mode,
+            0x02 => {
+                self.is_mode_read = true;
+                self.mode
+            }
             0x03..=0x08 => {
                 let nth = usize::from(register) - 3;
                 self.read |= 1 << nth;
                 if self.read == 0x3F {
-                    self.read = 0;
+                    self.unlock();
                 }
                 let bytes = self.data.map(i16::to_be_bytes).concat();
                 bytes[nth]
@@ -108,11 +128,23 @@ impl Chip for Hmc5883l {
 
     fn write(&mut self, register: u8, value: u8, now_ns: u64) {
         match register {
-            0x00 => self.config_a = value & 0x7F,
-            0x01 => self.config_b = value & 0xE0,
+            0x00 => {
+                // The lock ends when the register changes (table 17).
+                if self.config_a != value & 0x7F {
+                    self.unlock();
+                }
+                self.config_a = value & 0x7F;
+                self.configure(now_ns);
+            }
+            0x01 => {
+                self.config_b = value & 0xE0;
+                self.configure(now_ns);
+            }
             0x02 => {
+                if self.mode != value & 0x03 {
+                    self.unlock();
+                }
                 self.mode = value & 0x03;
-                self.read = 0;
                 self.start(now_ns);
             }
             _ => {}

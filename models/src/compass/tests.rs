@@ -163,6 +163,39 @@ fn the_hmc5883l_follows_its_datasheet() {
 }
 
 #[test]
+fn the_hmc5883l_locks_its_data_when_its_mode_is_read() {
+    let ms = 1_000_000;
+    let mut compass = clean(Part::Hmc5883l);
+    let now = 60 * ms;
+    write(&mut compass, now, 0x1E, &[0x00, 0x78, 0x60, 0x00]);
+    // The power-on measurement waits. The first in continuous mode takes two periods, 26.7 ms.
+    let first = read(&mut compass, now, 0x1E, 0x03, 6);
+    compass.advance_to(now + 26 * ms, &still(0.0));
+    assert_eq!(read(&mut compass, now, 0x1E, 0x03, 6), first);
+    compass.advance_to(now + 27 * ms, &still(0.0));
+    let second = read(&mut compass, now, 0x1E, 0x03, 6);
+    assert_ne!(second, first);
+    // A read of the mode locks the data until all six bytes have been read.
+    assert_eq!(read(&mut compass, now, 0x1E, 0x00, 2), [0x78, 0x60]);
+    assert_eq!(read(&mut compass, now, 0x1E, 0x09, 1), [0x01]);
+    assert_eq!(read(&mut compass, now, 0x1E, 0x01, 2), [0x60, 0x00]);
+    assert_eq!(read(&mut compass, now, 0x1E, 0x09, 1), [0x03]);
+    compass.advance_to(now + 54 * ms, &still(0.0));
+    assert_eq!(read(&mut compass, now, 0x1E, 0x03, 6), second);
+    compass.advance_to(now + 67 * ms, &still(0.0));
+    let third = read(&mut compass, now, 0x1E, 0x03, 6);
+    assert_ne!(third, second);
+    // The same mode again does not unlock them. Another configuration does.
+    for (value, is_new) in [([0x02, 0x00], false), ([0x00, 0x58], true)] {
+        read(&mut compass, now, 0x1E, 0x02, 1);
+        write(&mut compass, now + 67 * ms, 0x1E, &value);
+        compass.advance_to(now + 94 * ms, &still(0.0));
+        let status = read(&mut compass, now, 0x1E, 0x09, 1);
+        assert_eq!(status, [if is_new { 0x01 } else { 0x03 }]);
+    }
+}
+
+#[test]
 fn the_qmc5883l_and_its_successor_follow_their_datasheets() {
     let now = 60_000_000;
     let mut compass = clean(Part::Qmc5883l);
