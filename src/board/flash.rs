@@ -58,7 +58,8 @@ pub enum FlashError {
     Refused(u8),
     /// The supply is below what programming and erasing need.
     LowSupply,
-    /// An operation took far longer than the datasheet allows.
+    /// An operation, or the watchdog's new limit before it, took far longer than the datasheet
+    /// allows.
     Timeout,
 }
 

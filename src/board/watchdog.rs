@@ -13,6 +13,8 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use stm32f4xx_hal::pac::{DBGMCU, IWDG};
 
+use super::timebase;
+
 /// Shortest time without progress after which the processor is reset, in ms. A hang of any part
 /// ends after 1 to 2.8 times this limit. The longest wait of the idle task is 100 ms.
 pub const LIMIT_MS: u32 = 200;
@@ -24,29 +26,35 @@ const FASTEST_KHZ: u32 = 47;
 const PRESCALER: u8 = 4;
 const DIVISION: u32 = 64;
 
-/// Polls of the status until a new limit must have arrived. At 168 MHz a poll takes at least
-/// 4 cycles, so they take 1 ms or more. Five cycles of the slowest oscillator are 0.3 ms (RM0090,
-/// 21.4.4).
-const CROSSING_POLLS: u32 = 50_000;
+/// Longest wait until the counter has a new limit, in µs. RM0090, 21.4.4, allows five cycles of
+/// the oscillator, 0.3 ms. ST's HAL and Zephyr allow six cycles of the prescaler's output, 23 ms.
+const CROSSING_US: u32 = 100_000;
 
 /// Progress since the watchdog was last fed.
 static SAMPLES: AtomicBool = AtomicBool::new(false);
 static ATTITUDE: AtomicBool = AtomicBool::new(false);
 
-/// Starts the watchdog, which cannot be stopped again.
+/// Starts the watchdog, which cannot be stopped again. Its limit is 350 ms or more until
+/// [`set_limit_ms`].
 pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
     debugger
         .apb1_fz()
         .modify(|_, w| w.dbg_iwdg_stop().set_bit());
-    // SAFETY: the keys of RM0090, 21.4.1: start, then open the other registers.
+    // SAFETY: the key that starts the counter (RM0090, 21.4.1).
     watchdog.kr().write(|w| unsafe { w.key().bits(0xCCCC) });
-    set_limit_ms(LIMIT_MS);
 }
 
 /// Sets the shortest time without progress before a reset, in ms, up to 5,000. Needed around work
-/// that stops everything, such as erasing flash; set [`LIMIT_MS`] afterwards.
-pub fn set_limit_ms(limit_ms: u32) {
+/// that stops everything, such as erasing flash; set [`LIMIT_MS`] afterwards. The time base must
+/// run. Returns false if the counter does not have the limit after 0.1 s.
+#[inline(always)]
+pub fn set_limit_ms(limit_ms: u32) -> bool {
     let ticks = limit_ms.saturating_mul(FASTEST_KHZ).div_ceil(DIVISION);
+    set_ticks(ticks.min(0xFFF) as u16)
+}
+
+#[inline(never)]
+fn set_ticks(ticks: u16) -> bool {
     let watchdog = watchdog();
     // A feed in between would close the registers again.
     cortex_m::interrupt::free(|_| {
@@ -54,20 +62,20 @@ pub fn set_limit_ms(limit_ms: u32) {
         unsafe {
             watchdog.kr().write(|w| w.key().bits(0x5555));
             watchdog.pr().write(|w| w.pr().bits(PRESCALER));
-            watchdog
-                .rlr()
-                .write(|w| w.rl().bits(ticks.min(0xFFF) as u16));
+            watchdog.rlr().write(|w| w.rl().bits(ticks));
         }
     });
-    // The limit reaches the counter within five cycles of its oscillator. A feed before that would
-    // reload the old limit.
-    for _ in 0..CROSSING_POLLS {
-        let status = watchdog.sr().read();
-        if status.pvu().bit_is_clear() && status.rvu().bit_is_clear() {
-            break;
+    // A feed before the limit has arrived reloads the old one.
+    let start = timebase::now();
+    loop {
+        // Before the status, which may change in a stall of the core.
+        let is_late = timebase::elapsed(start, CROSSING_US);
+        let has_arrived = watchdog.sr().read().bits() == 0;
+        if has_arrived || is_late {
+            feed();
+            return has_arrived;
         }
     }
-    feed();
 }
 
 /// Reports that samples come, or that the idle task recovers the sensor.

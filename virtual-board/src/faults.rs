@@ -442,6 +442,9 @@ pub enum Fault {
     /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405
     /// datasheet, "LSI oscillator characteristics"). The typical one is 32,000.
     WatchdogClock(u64),
+    /// A new limit of the watchdog takes five cycles of the prescaler's output to arrive, instead
+    /// of the oscillator's. The manual counts "RC cycles", and ST's HAL waits for six of these.
+    SlowWatchdog,
     /// The chip reports this revision in DBGMCU_IDCODE (RM0090, 38.6.1).
     ChipRevision(u16),
     /// The firmware's microsecond timer starts at this count instead of zero.

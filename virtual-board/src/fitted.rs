@@ -72,6 +72,7 @@ impl FittedSensor {
                 | Fault::NoCrystal
                 | Fault::InternalOscillator(_)
                 | Fault::SlowStart
+                | Fault::SlowWatchdog
                 | Fault::WatchdogClock(_)
                 | Fault::ChipRevision(_)
                 | Fault::TimerStartsAt(_) => vec![],

@@ -393,6 +393,7 @@ impl Run {
             revision: revision.unwrap_or(ChipIdentity::STM32F405_Y.revision),
         };
         let has_slow_starts = self.faults.contains(&Fault::SlowStart);
+        let is_watchdog_slow = self.faults.contains(&Fault::SlowWatchdog);
         let sensor = self.sensor();
         let compass = self.compass.take();
         let compass = compass.or_else(|| self.kit.compass(self.seed, self.mount));
@@ -408,6 +409,9 @@ impl Run {
         }
         if let Some(hz) = watchdog_hz {
             controller.calibrate_watchdog(hz);
+        }
+        if is_watchdog_slow {
+            controller.slow_watchdog();
         }
         controller.identify(identity);
         controller.fit(self.board.regulator, self.board.core_hz);

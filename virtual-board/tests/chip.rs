@@ -13,6 +13,7 @@ use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use common::firmware;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
+use virtual_board::kit::Kit;
 use virtual_board::outputs;
 use virtual_board::schedule::Schedule;
 
@@ -209,6 +210,41 @@ fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
             (178.0..latest_ms).contains(&after_ms),
             "{hz}: {after_ms} ms"
         );
+    }
+}
+
+/// A self-test keeps the short limit: the idle task reports progress in it.
+#[test]
+fn a_self_test_is_not_reset_by_the_fastest_watchdog() {
+    let run = Run::new(firmware())
+        .kit(Kit::Mpu9250)
+        .fault(Fault::WatchdogClock(47_000))
+        .motion(Rest::level())
+        .command(1.4, "self-test");
+    let outcome = run.seconds(4.0).without_account().run().unwrap();
+    assert!(outcome.uart_reports("passed"), "{:?}", outcome.uart_lines);
+    assert_eq!(outcome.record.resets_ns, Vec::<u64>::new());
+}
+
+#[test]
+fn a_save_is_not_reset_by_a_watchdog_that_takes_a_limit_late() {
+    for hz in [17_000, 25_000, 32_000, 47_000] {
+        let run = Run::new(firmware())
+            .fault(Fault::WatchdogClock(hz))
+            .fault(Fault::SlowWatchdog)
+            .motion(Rest::level())
+            .command(1.3, "rate 20")
+            .command(1.4, "save");
+        let schedule = Schedule::parse("test", "3.0 0 watchdog-hang").unwrap();
+        let outcome = run.schedule(&schedule).seconds(4.0).without_account().run();
+        let outcome = outcome.unwrap();
+        assert!(outcome.uart_reports("stored"), "{:?}", outcome.uart_lines);
+        let resets_ns = &outcome.record.resets_ns;
+        assert!(resets_ns.len() == 1, "{hz} Hz: resets at {resets_ns:?}");
+        assert_eq!(outcome.issues.len(), 1, "{:?}", outcome.issues);
+        // The short limit is back.
+        let after_ns = resets_ns[0] - 3_000_000_000;
+        assert!(after_ns < 600_000_000, "{hz} Hz: {after_ns}");
     }
 }
 

@@ -159,6 +159,7 @@ mod app {
         }
         pins::start(device.GPIOA, device.SYSCFG, device.EXTI);
         let timebase = Timebase::start(device.TIM5);
+        watchdog::set_limit_ms(watchdog::LIMIT_MS);
         let bus = SensorBus::new(device.I2C1, device.GPIOB);
         let mut messages = Mailbox::new();
         messages.post(Message::Started {

@@ -27,10 +27,9 @@ use crate::kept_record;
 use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
 use crate::requests::{JOB, Requests, TO_SUPERVISOR};
 
-/// Longest duration of a job, in ms. Erasing a 16 KiB sector stalls the core for up to half a
-/// second (STM32F405 datasheet, table "Flash memory programming"). The sensor's self-test takes a
-/// second.
-const JOB_LIMIT_MS: u32 = 2_000;
+/// Longest duration of a save, in ms. Erasing a 16 KiB sector stalls the core for up to half a
+/// second (STM32F405 datasheet, table "Flash memory programming"). The other jobs report progress.
+const SAVE_LIMIT_MS: u32 = 2_000;
 /// Shortest pause in the samples around a job, in µs. It is longer than the filter bridges, so
 /// the attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.
 const PAUSE_US: u32 = 600_000;
@@ -165,7 +164,6 @@ fn perform_paused(
     requests: &mut impl Mutex<T = Requests>,
 ) {
     let since = timebase::now();
-    watchdog::set_limit_ms(JOB_LIMIT_MS);
     let outcome = perform(job, sensor, compass, flash);
     watchdog::set_limit_ms(watchdog::LIMIT_MS);
     requests.lock(|requests| requests.outcome = Some(outcome));
@@ -218,10 +216,15 @@ fn perform(
     }
 }
 
-/// Stores the record in use. No command changes it before the end of the job.
+/// Stores the record in use. No command changes it before the end of the job. Without the watchdog's
+/// long limit an erase would end in a reset, so the save is refused.
 fn save(flash: &mut CalibrationFlash) -> Result<(), SaveError<FlashError>> {
     let record = kept_record::get().ok_or(SaveError::Unstorable)?;
-    storage::save(flash, &record)
+    if watchdog::set_limit_ms(SAVE_LIMIT_MS) {
+        storage::save(flash, &record)
+    } else {
+        Err(SaveError::Flash(FlashError::Timeout))
+    }
 }
 
 /// Runs the self-test of the compass, and then that of the sensor: its reset would switch off the

@@ -276,6 +276,11 @@ impl Microcontroller {
         self.clocks.model.calibrate_lsi(hz);
     }
 
+    /// Makes the watchdog take long for a new limit.
+    pub fn slow_watchdog(&mut self) {
+        self.watchdog.is_slow = true;
+    }
+
     /// Sets the contents of DBGMCU_IDCODE. Call it before the first instruction.
     pub fn identify(&mut self, identity: ChipIdentity) {
         self.identity = identity;
