@@ -40,6 +40,9 @@ pub fn start(watchdog: &IWDG, debugger: &DBGMCU) {
     debugger
         .apb1_fz()
         .modify(|_, w| w.dbg_iwdg_stop().set_bit());
+    // The idle task sleeps. Without this bit the core's clock stops then, and a debug probe may not
+    // attach (RM0090, 38.16.1).
+    debugger.cr().modify(|_, w| w.dbg_sleep().set_bit());
     // SAFETY: the key that starts the counter (RM0090, 21.4.1).
     watchdog.kr().write(|w| unsafe { w.key().bits(0xCCCC) });
 }

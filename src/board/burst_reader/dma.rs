@@ -9,6 +9,9 @@ const STOP_POLLS: u32 = 1_000;
 
 /// Sets the stream's source. Called once, by init.
 pub(super) fn start() {
+    // This clock also runs while the core sleeps, by its bit in AHB1LPENR after reset. With
+    // DBG_SLEEP set and no DMA clock in sleep, a core that wakes may run wrong code (errata sheet
+    // ES0182, 2.1.3).
     clocks::enable(|rcc| {
         rcc.ahb1enr().modify(|_, w| w.dma1en().set_bit());
     });
