@@ -51,6 +51,7 @@ struct Results {
     table: Table,
     coverage: Coverage,
     failed: u64,
+    with_heading: u64,
     journal: File,
 }
 
@@ -60,6 +61,7 @@ impl Results {
         self.table.add(&entry.faults);
         self.coverage.add(case, &entry.steps);
         self.failed += u64::from(entry.has_failed);
+        self.with_heading += u64::from(entry.has_heading);
     }
 }
 
@@ -103,6 +105,7 @@ pub fn faults(options: &Faults) -> Result<(), String> {
     bar.finish_and_clear();
     let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
     println!("{}\n{}", results.table, results.coverage);
+    println!("flights with a valid heading: {}", results.with_heading);
     println!(
         "{} flights from seed {} on in {:.0} s, {} failed",
         options.runs,
@@ -131,8 +134,7 @@ fn fly(
     let case = Case::by_seed(seed);
     let (report, outcome) = campaign::run(&case, pool, &options.elf);
     let record = outcome.as_ref().map(|outcome| &outcome.record);
-    let steps = record.map_or(&[][..], |record| &record.steps_at_faults);
-    let entry = Entry::new(seed, &report, steps);
+    let entry = Entry::new(seed, &report, record);
     let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
     results.add(&case, &entry);
     if let Err(error) = writeln!(results.journal, "{entry}") {
@@ -187,6 +189,7 @@ fn open_journal(options: &Faults) -> Result<(Results, BTreeSet<u64>), String> {
         table: Table::default(),
         coverage: Coverage::default(),
         failed: 0,
+        with_heading: 0,
         journal: journal.map_err(unusable)?,
     };
     let mut flown = BTreeSet::new();

@@ -261,6 +261,7 @@ fn a_campaign_shows_its_table_and_fails_if_a_flight_does() {
         text.contains("worst recovery ms") && text.contains(", 0 failed"),
         "{text}"
     );
+    assert!(text.contains("flights with a valid heading: 0"), "{text}");
     let rows = text.lines().filter(|line| line.starts_with("uart-"));
     assert_eq!(rows.count(), 2, "{text}");
 }

@@ -249,6 +249,24 @@ fn a_violation_is_expected_only_with_the_fault_that_explains_it() {
 }
 
 #[test]
+fn an_entry_notes_a_valid_heading_of_a_valid_attitude() {
+    let (case, mut record) = sound();
+    let report = judge(&case, &record, &telemetry());
+    let mut has_heading = |nth: usize, is_valid| {
+        record.samples[nth].heading = Some(HeadingEstimate {
+            yaw_offset_rad: 0.0,
+            sigma_rad: 0.1,
+            is_valid,
+        });
+        Entry::new(7, &report, Some(&record)).has_heading
+    };
+    assert!(!has_heading(1_000, false));
+    assert!(!has_heading(0, true), "the attitude is not valid yet");
+    assert!(has_heading(1_000, true));
+    assert!(!Entry::new(7, &report, None).has_heading);
+}
+
+#[test]
 fn a_wrong_heading_fails_only_if_it_is_valid() {
     let (case, mut record) = sound();
     let mut put = |offset_deg: f32, sigma_deg: f32, is_valid: bool| {
