@@ -112,15 +112,23 @@ const FORMS: [Form; 39] = [
     Form::bare("compass-stall", FaultKind::CompassStall),
     Form::new("supply-sag", ":MILLIVOLTS (0 to 3300)", |text| {
         number(text, 0, 3_300).map(FaultKind::SupplySag)
-    }),
+    })
+    .beside(),
     Form::new("stuck", ":ax|ay|az|gx|gy|gz", |text| {
         axis(text).map(FaultKind::Stuck)
-    }),
+    })
+    .beside(),
 ];
 
-/// Number of kinds that [`Schedule::by_seed`] draws: the first of `FORMS`. The campaign draws the
-/// others beside them, so that a seed keeps its schedule.
-pub const DRAWN: usize = 37;
+/// Number of kinds that [`Schedule::by_seed`] draws.
+pub const DRAWN: usize = {
+    let (mut drawn, mut nth) = (0, 0);
+    while nth < FORMS.len() {
+        drawn += FORMS[nth].is_drawn as usize;
+        nth += 1;
+    }
+    drawn
+};
 
 /// Written form of a fault.
 struct Form {
@@ -129,6 +137,8 @@ struct Form {
     read: fn(&str) -> Option<FaultKind>,
     /// The fault, if it takes no parameter.
     bare: Option<FaultKind>,
+    /// True if [`Schedule::by_seed`] draws the kind.
+    is_drawn: bool,
 }
 
 impl Form {
@@ -142,6 +152,7 @@ impl Form {
             parameter,
             read,
             bare: None,
+            is_drawn: true,
         }
     }
 
@@ -151,6 +162,15 @@ impl Form {
             parameter: "",
             read: |_| None,
             bare: Some(kind),
+            is_drawn: true,
+        }
+    }
+
+    /// Leaves the kind to the campaign, which draws it beside the schedule of a seed.
+    const fn beside(self) -> Self {
+        Self {
+            is_drawn: false,
+            ..self
         }
     }
 }
@@ -246,7 +266,9 @@ impl Schedule {
                 0 => (seed % DRAWN as u64) as usize,
                 _ => whole(&mut random, DRAWN),
             };
-            let fault = draw(FORMS[form].name, start_s, &mut random);
+            let mut drawn = FORMS.iter().filter(|form| form.is_drawn);
+            let name = drawn.nth(form).map_or(FORMS[0].name, |form| form.name);
+            let fault = draw(name, start_s, &mut random);
             let is_last = fault.kind.resets()
                 || fault.kind == FaultKind::CrystalDies && fault.duration_ns == 0;
             faults.push(fault);
