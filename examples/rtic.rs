@@ -18,9 +18,10 @@ use {defmt_rtt as _, panic_probe as _};
 mod app {
     use aplomb::board::attitude_task::AttitudeTask;
     use aplomb::board::burst_reader::{self, BurstReader};
+    use aplomb::board::delay::Delay;
     use aplomb::board::sensor::{RETRY_MS, Sensor};
     use aplomb::board::sensor_bus::SensorBus;
-    use aplomb::board::timebase::{self, Delay, Timebase};
+    use aplomb::board::timebase::{self, Timebase};
     use aplomb::board::{attitude_task, clocks, pins, retained};
     use aplomb::mpu6050::{Config, Part};
     use aplomb::pipeline::{Pipeline, Settings};

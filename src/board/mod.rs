@@ -20,6 +20,7 @@ pub mod burst_reader;
 pub mod clocks;
 pub mod compass;
 pub mod crash;
+pub mod delay;
 pub mod flash;
 pub mod heading;
 pub mod measure;

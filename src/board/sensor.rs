@@ -7,8 +7,8 @@
 
 use embedded_hal::i2c::ErrorKind;
 
+use super::delay::Delay;
 use super::sensor_bus::{BusHeldLow, SensorBus};
-use super::timebase::Delay;
 use super::{burst_reader, retained};
 use crate::compass::{self, PartId};
 use crate::fault::FaultClass;

@@ -93,7 +93,7 @@ impl SensorBus {
         self.drive(SDA, true);
         wait_us(RECOVERY_HALF_PERIOD_US);
         let (clock, data) = (self.is_high(SCL), self.is_high(SDA));
-        // Before the port's reset, which then clears a BUSY flag of the edges that the port sees here.
+        // Before the port's reset, which clears a BUSY flag of edges that the port sees here.
         self.set_pin_modes(PinMode::Alternate);
         self.program_port();
         if clock && data {

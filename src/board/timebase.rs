@@ -161,23 +161,13 @@ pub fn elapsed(start: u32, limit_us: u32) -> bool {
     now().wrapping_sub(start) >= limit_us
 }
 
-/// Delay with the core asleep, for the sensor's configuration by the idle task. Channel 4's compare
-/// ends the sleep.
-pub struct Delay;
-
-impl embedded_hal::delay::DelayNs for Delay {
-    fn delay_ns(&mut self, nanoseconds: u32) {
-        let start = now();
-        // One more than requested, because the first microsecond may be almost over.
-        let limit_us = nanoseconds.div_ceil(1_000) + 1;
-        // SAFETY: only the idle task writes this channel, through this function.
-        let timer = unsafe { &*TIM5::ptr() };
-        timer
-            .ccr4()
-            .write(|w| w.ccr().set(start.wrapping_add(limit_us)));
-        sleep_until(|| elapsed(start, limit_us));
-        super::watchdog::report_samples();
-    }
+/// Sets the count that ends a delay's sleep, by channel 4's compare.
+#[inline(always)]
+pub(super) fn set_wake_up(count: u32) {
+    // SAFETY: only the idle task writes this channel, through this function.
+    unsafe { &*TIM5::ptr() }
+        .ccr4()
+        .write(|w| w.ccr().set(count));
 }
 
 /// Sleeps between interrupts until `condition` holds. Only the idle task calls this.

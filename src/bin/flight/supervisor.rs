@@ -5,12 +5,12 @@
 //! runs the console's jobs (save, self-test, registers) while the burst reader is paused.
 
 use aplomb::board::burst_reader;
+use aplomb::board::delay::Delay;
 use aplomb::board::flash::{CalibrationFlash, FlashError};
 #[cfg(feature = "full")]
 use aplomb::board::measure;
 use aplomb::board::sensor::{self, NotReady, Ready, Sensor};
-use aplomb::board::timebase::{self, Delay};
-use aplomb::board::{retained, watchdog};
+use aplomb::board::{retained, timebase, watchdog};
 use aplomb::compass::{self, PartId};
 use aplomb::console::{Job, Outcome};
 use aplomb::mpu6050::{self, Config, Part, SettingsState};
@@ -216,8 +216,8 @@ fn perform(
     }
 }
 
-/// Stores the record in use. No command changes it before the end of the job. Without the watchdog's
-/// long limit an erase would end in a reset, so the save is refused.
+/// Stores the record in use. No command changes it before the end of the job. Without the
+/// watchdog's long limit an erase would end in a reset, so the save is refused.
 fn save(flash: &mut CalibrationFlash) -> Result<(), SaveError<FlashError>> {
     let record = kept_record::get().ok_or(SaveError::Unstorable)?;
     if watchdog::set_limit_ms(SAVE_LIMIT_MS) {

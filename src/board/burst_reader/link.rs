@@ -7,6 +7,7 @@ use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use embedded_hal::delay::DelayNs;
 use stm32f4xx_hal::pac::{EXTI, Interrupt};
 
+use super::super::delay::Delay;
 use super::super::sensor::Ready;
 use super::super::timebase;
 use super::BURST_DEADLINE_US;
@@ -176,7 +177,7 @@ pub fn enable(ready: &Ready, config: &Config) {
 pub fn pause() {
     exti().imr().reset();
     LINK.is_pause_wanted.store(true, Ordering::Relaxed);
-    timebase::Delay.delay_us(BURST_DEADLINE_US);
+    Delay.delay_us(BURST_DEADLINE_US);
     timebase::raise_burst_alarm();
     timebase::sleep_until(|| !is_enabled());
 }

@@ -1,7 +1,7 @@
 //! The journal of a campaign: a line for each flight, so that an interrupted campaign goes on.
 //!
-//! A line has the seed, `ok` or `failed`, `heading` if a heading was valid or else `-`, the steps of
-//! the bus in which the faults began, and the faults:
+//! A line has the seed, `ok` or `failed`, `heading` if a heading was valid or else `-`, the steps
+//! of the bus in which the faults began, and the faults:
 //! `7 ok heading idle,rd3 sda-low:yes:5200000ns,frozen:no:-`. An empty list is `-`.
 
 use std::fmt;
