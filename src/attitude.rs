@@ -5,9 +5,9 @@
 //! convention, scalar first). [`EulerAngles`] are yaw, pitch, roll, applied in that order (Z-Y-X):
 //! roll is positive right wing down, pitch nose up, yaw clockwise from above.
 //!
-//! No function panics. [`Quaternion::normalize`] and [`Quaternion::to_euler`] give finite results for
-//! any input bits. Sine and cosine are written out because those of `libm` compute in `f64`, which
-//! the Cortex-M4F emulates.
+//! No function panics. [`Quaternion::normalize`] and [`Quaternion::to_euler`] give finite results
+//! for any input bits. Sine and cosine are written out because those of `libm` compute in `f64`,
+//! which the Cortex-M4F emulates.
 //!
 //! ```
 //! use aplomb::attitude::{EulerAngles, Quaternion, Vector3};

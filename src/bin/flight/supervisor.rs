@@ -4,6 +4,8 @@
 //! The supervisor configures the sensor at start and after every fault, and starts the pipeline. It
 //! runs the console's jobs (save, self-test, registers) while the burst reader is paused.
 
+use core::f32::consts::PI;
+
 use aplomb::board::burst_reader;
 use aplomb::board::delay::Delay;
 use aplomb::board::flash::{CalibrationFlash, FlashError};
@@ -94,7 +96,7 @@ pub fn run(
                     && timebase::elapsed(0, LONGEST_WAIT_US)
                     && let Some(mut start) = retained::kept()
                 {
-                    start.tilt_sigma_rad = f32::INFINITY;
+                    start.tilt_sigma_rad = PI;
                     retained::keep(Some(&start));
                 }
                 Delay.delay_ms(sensor::RETRY_MS);

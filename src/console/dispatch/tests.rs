@@ -1119,8 +1119,8 @@ fn a_declination_is_set_shown_and_kept() {
     assert_eq!(harness.working().compass.declination_rad, radians(3.5));
     assert_eq!(
         harness.ask("declination 181"),
-        "error \"181\" is no declination, which is from -180 to 180 degrees, east positive, with \
-         up to two decimals, such as \"declination 3.5\""
+        "error \"181\" is no declination: -180 to 180 degrees, east positive, two \
+         decimals at most, such as \"declination 3.5\""
     );
     assert_eq!(
         harness.ask("declination 0"),
@@ -1278,7 +1278,7 @@ fn a_compass_calibration_shows_its_coverage_and_is_refused_or_put_in_use() {
     harness.module.fitter = Some(turned(1_500, -1.0));
     let answer = harness.ask("calibrate done");
     assert!(
-        answer.contains(" dip -65.6 deg, ") && answer.contains("; the field points up, which is"),
+        answer.contains(" dip -65.6 deg, ") && answer.contains("; the field points up: right only"),
         "{answer}"
     );
     // Arming gives it up, and so does nothing for two minutes.

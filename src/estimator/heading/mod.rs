@@ -178,8 +178,8 @@ pub struct Heading {
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
     /// Scratch of the step. From `Phase::RepeatOnCross` on: gains of the tilt filter's
-    /// measurements. From `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From `Phase::Project`
-    /// on: O·hᵀ of an axis.
+    /// measurements. From `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From
+    /// `Phase::Project` on: O·hᵀ of an axis.
     own_column: [f32; STATES],
     /// Scratch of the step. From `Phase::Drift` on: P·Wᵀ of the drift of yaw. From
     /// `Phase::ProjectCross` on: X·hᵀ of an axis.

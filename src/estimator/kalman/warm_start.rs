@@ -43,7 +43,8 @@ static CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 pub struct WarmStart {
     /// Body to earth.
     pub attitude: Quaternion,
-    /// σ of the tilt, both axes together, rad. From 30° on, the specific force sets the tilt.
+    /// σ of the tilt, both axes together, rad: π if it is unknown. From 30° on, the specific
+    /// force sets the tilt.
     pub tilt_sigma_rad: f32,
     /// The gyroscope's bias in body axes, rad/s.
     pub bias_rad_s: Vector3,
