@@ -686,7 +686,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 19] = [
+const ONCE_FAILED: [(u64, &str, &str); 20] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -786,6 +786,11 @@ const ONCE_FAILED: [(u64, &str, &str); 19] = [
         "1.988445 0.076712 supply-sag:1337\n4.612824 0.391342 ones\n\
          5.459229 0.009458 data-nack:0\n6.012004 0.760401 compass-zeros\n",
         "a pause counted as time at rest, and its one sample began the drift",
+    ),
+    (
+        4_000_114,
+        "1.893657 0.00869 dma-error\n2.284728 0.014615 core-stall\n",
+        "samples that were lost long after a recovery counted as lost before its first edge",
     ),
 ];
 

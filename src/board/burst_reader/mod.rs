@@ -98,7 +98,7 @@ pub struct BurstReader {
     failures_in_a_row: u8,
     /// True if an edge has come during a transaction that is no burst.
     is_edge_waiting: bool,
-    /// True until the first edge after the reader was enabled: none before it is missed.
+    /// True until the first edge or burst after the reader was enabled: none before it is missed.
     awaits_first_edge: bool,
     next_check: u8,
 }
@@ -312,6 +312,7 @@ impl BurstReader {
             offer(self.buffer, self.captured_at_us, self.missed, self.flags);
             self.buffer = self.buffer.other();
             self.missed = 0;
+            self.awaits_first_edge = false;
             self.flags = self.latched_flags;
         } else {
             self.report_late();
