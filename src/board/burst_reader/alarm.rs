@@ -60,6 +60,7 @@ impl BurstReader {
     /// Unmasks the edges, after the reader was enabled.
     fn await_first_edge(&mut self) {
         self.begin_edges();
+        self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
         exti().imr().write(|w| w.mr1().set_bit());
         timebase::set_burst_alarm(timebase::now().wrapping_add(SILENCE_DEADLINE_US));

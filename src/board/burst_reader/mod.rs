@@ -98,8 +98,6 @@ pub struct BurstReader {
     failures_in_a_row: u8,
     /// True if an edge has come during a transaction that is no burst.
     is_edge_waiting: bool,
-    /// True until the first edge or burst after the reader was enabled: none before it is missed.
-    awaits_first_edge: bool,
     next_check: u8,
 }
 
@@ -139,7 +137,6 @@ impl BurstReader {
             mode: Mode::Starting,
             failures_in_a_row: 0,
             is_edge_waiting: false,
-            awaits_first_edge: false,
             next_check: 0,
         };
         reader.prepare_dma();
@@ -172,7 +169,6 @@ impl BurstReader {
             Mode::Starting if !is_enabled() => return,
             Mode::Starting => {
                 self.begin_edges();
-                self.awaits_first_edge = false;
                 self.start_burst(count, timebase);
                 return;
             }
@@ -184,7 +180,10 @@ impl BurstReader {
             }
             // The next edge counts this one as missed.
             Mode::Edges if self.step != BurstStep::Idle && self.transaction.is_burst() => return,
-            Mode::Edges if core::mem::take(&mut self.awaits_first_edge) => {}
+            // The first edge after the reader was enabled: no sample before it is missed.
+            Mode::Edges if self.shortest_period_us == EXAMINE_EVERY_EDGE_US => {
+                self.shortest_period_us = self.shortest_period_us();
+            }
             Mode::Edges => {
                 let mut rest_us = since_last;
                 while rest_us > self.shortest_period_us * 3 / 2 && self.missed < u8::MAX {
@@ -312,7 +311,6 @@ impl BurstReader {
             offer(self.buffer, self.captured_at_us, self.missed, self.flags);
             self.buffer = self.buffer.other();
             self.missed = 0;
-            self.awaits_first_edge = false;
             self.flags = self.latched_flags;
         } else {
             self.report_late();
@@ -375,7 +373,6 @@ impl BurstReader {
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn begin_edges(&mut self) {
         self.return_to_edges();
-        self.awaits_first_edge = true;
         enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.flags.remove(BoardFlags::SCALES_VERIFIED);
@@ -393,6 +390,7 @@ impl BurstReader {
         }
     }
 
+    #[inline(never)]
     fn shortest_period_us(&self) -> u32 {
         let flags = self.latched_flags;
         setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
