@@ -46,7 +46,7 @@ impl fmt::Display for WorkText<'_> {
         // Each number follows its text. Whole numbers below 2^24 are exact.
         for (text, number, decimals) in [
             ("seconds=", seconds, 1),
-            (" samples=", latency_us.count() as f32, 0),
+            (" samples=", samples.count() as f32, 0),
             (" missed=", samples.missed as f32, 0),
             (" cycles=", cycles.mean(), 2),
             (",", cycles.most() as f32, 0),

@@ -146,15 +146,23 @@ impl SampleFigures {
         }
     }
 
+    /// Returns the number of samples.
+    pub const fn count(&self) -> u32 {
+        let [x, ..] = &self.counts;
+        x.count()
+    }
+
     /// Adds a published sample: its edge's time, the time since that edge, the samples lost before
     /// it, and its bytes.
+    ///
+    /// The first sample's time since its edge does not count: the start of the measurement may have
+    /// delayed it.
     pub fn add(&mut self, edge_us: u64, since_edge_us: u32, missed_before: u8, bytes: &[u8; 14]) {
-        self.edge_to_attitude_us.add(since_edge_us as i32);
         self.missed = self.missed.saturating_add(u32::from(missed_before));
-        let last_us = self.last_us.replace(edge_us);
-        if let (0, Some(last_us)) = (missed_before, last_us) {
+        if let Some(last_us) = self.last_us.replace(edge_us) {
+            self.edge_to_attitude_us.add(since_edge_us as i32);
             let period_us = edge_us.wrapping_sub(last_us) as u32;
-            if period_us <= LONGEST_PERIOD_US {
+            if missed_before == 0 && period_us <= LONGEST_PERIOD_US {
                 self.period_us.add(period_us as i32);
             }
         }
@@ -227,20 +235,22 @@ mod tests {
         let mut figures = SampleFigures::new();
         let mut bytes = [0; 14];
         bytes[..2].copy_from_slice(&(-2048_i16).to_be_bytes());
-        for (edge_us, missed) in [
-            (1_000, 0),
-            (2_001, 0),
-            (4_000, 1),
-            (5_000, 0),
-            (600_000, 0),
-            (601_001, 0),
+        // The start of the measurement has delayed the first one.
+        for (edge_us, since_edge_us, missed) in [
+            (1_000, 397, 0),
+            (2_001, 388, 0),
+            (4_000, 388, 1),
+            (5_000, 388, 0),
+            (600_000, 388, 0),
+            (601_001, 388, 0),
         ] {
-            figures.add(edge_us, 388, missed, &bytes);
+            figures.add(edge_us, since_edge_us, missed, &bytes);
         }
         let period_us = figures.period_us;
         assert_eq!((period_us.count(), period_us.least()), (3, 1_000));
         assert_eq!((period_us.most(), figures.missed), (1_001, 1));
-        assert_eq!(figures.edge_to_attitude_us.mean(), 388.0);
+        let latency_us = figures.edge_to_attitude_us;
+        assert_eq!((latency_us.mean(), latency_us.most()), (388.0, 388));
         let x = figures.counts[0];
         assert_eq!((x.count(), x.mean(), x.deviation()), (6, -2048.0, 0.0));
     }
