@@ -4,13 +4,12 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use aplomb::attitude::Vector3;
-use aplomb::calibration::{AccelerometerCorrection, Matrix3, Mount, SymmetricMatrix};
+use aplomb::calibration::{Calibration, Mount};
 use aplomb::mpu6050::{Burst, Config, Part, RawSample};
 use aplomb::pipeline::Settings;
 use aplomb_recordings::rate::divider_of_period;
-use aplomb_recordings::text::read_small;
 
+use crate::calibration_file::CalibrationFile;
 use crate::sampler::SensorSettings;
 
 /// Samples a second without `--rate-hz`.
@@ -102,11 +101,14 @@ impl I2cOptions {
         let mut pipeline = Settings::new(&Part::MPU_6050);
         pipeline.mount = self.mount.unwrap_or(Mount::Z_UP);
         if let Some(path) = &self.calibration {
-            let refuse = |reason: String| format!("{}: {reason}", path.display());
-            let text = read_small(path).map_err(|error| refuse(error.to_string()))?;
-            let (accelerometer, gyroscope) = corrections(&text).map_err(refuse)?;
-            pipeline.calibration.accelerometer = Some(accelerometer);
-            pipeline.calibration.gyroscope_matrix = gyroscope;
+            let file = CalibrationFile::read(path)?;
+            if file.sensors == Calibration::NONE {
+                return Err(format!(
+                    "{}: it calibrates a compass alone, and this sensor has none",
+                    path.display()
+                ));
+            }
+            pipeline.calibration = file.sensors;
         }
         Ok(SensorSettings {
             config,
@@ -137,54 +139,6 @@ impl I2cOptions {
         }
         Ok((samples, config))
     }
-}
-
-/// Calibration as `aplomb calibrate --json` prints it.
-#[derive(serde::Deserialize)]
-struct Calibrated {
-    /// Rule that found it; a file of another program names none.
-    rule: Option<String>,
-    offset_m_s2: [f32; 3],
-    matrix: [[f32; 3]; 3],
-    gyroscope: Option<CalibratedGyroscope>,
-}
-
-/// The gyroscope's part of it.
-#[derive(serde::Deserialize)]
-struct CalibratedGyroscope {
-    matrix: [[f32; 3]; 3],
-}
-
-/// Returns the correction of the accelerometer, and the matrix of the gyroscope if there is one.
-fn corrections(json: &str) -> Result<(AccelerometerCorrection, Option<Matrix3>), String> {
-    let Calibrated {
-        rule,
-        offset_m_s2: [x, y, z],
-        matrix: [[xx, xy, xz], [_, yy, yz], [_, _, zz]],
-        gyroscope,
-    } = serde_json::from_str(json)
-        .map_err(|error| format!("{error}: write it with `aplomb calibrate --json`"))?;
-    if let Some(rule) = rule.filter(|rule| rule != "rest") {
-        return Err(format!(
-            "its rule is {rule}, which is too inexact to count as a calibration: lay the sensor \
-             still in its poses, and calibrate again"
-        ));
-    }
-    let accelerometer = AccelerometerCorrection {
-        offset_m_s2: Vector3::new(x, y, z),
-        matrix: SymmetricMatrix {
-            xx,
-            yy,
-            zz,
-            xy,
-            xz,
-            yz,
-        },
-    };
-    let gyroscope = gyroscope.map(|found| Matrix3 {
-        rows: found.matrix.map(|[x, y, z]| Vector3::new(x, y, z)),
-    });
-    Ok((accelerometer, gyroscope))
 }
 
 /// A sensor that is read sample by sample.
@@ -466,17 +420,5 @@ mod tests {
             let error = parse_rate(rate).expect_err(rate);
             assert!(error.ends_with("from 4 to 1000"), "{rate}: {error}");
         }
-    }
-
-    #[test]
-    fn a_calibration_of_nearly_still_moments_is_refused() {
-        let json = |rule: &str| {
-            format!("{{{rule}\"offset_m_s2\":[0,0,0],\"matrix\":[[1,0,0],[0,1,0],[0,0,1]]}}")
-        };
-        for rule in ["", "\"rule\":\"rest\","] {
-            assert!(corrections(&json(rule)).is_ok(), "{rule}");
-        }
-        let refused = corrections(&json("\"rule\":\"nearly_still\",")).unwrap_err();
-        assert!(refused.starts_with("its rule is nearly_still"), "{refused}");
     }
 }

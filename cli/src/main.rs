@@ -5,6 +5,7 @@ mod any_pipeline;
 mod arming;
 mod bring_up;
 mod calibrate;
+mod calibration_file;
 mod completions;
 mod convert;
 mod count_options;

@@ -3,9 +3,11 @@
 use std::error::Error;
 use std::path::PathBuf;
 
-use aplomb::calibration::Mount;
+use aplomb::calibration::{Calibration, CompassCorrection, Mount};
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::mpu6050::Part;
+use aplomb::pipeline::Settings;
 use aplomb::units::radians;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
@@ -14,6 +16,7 @@ use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::any_pipeline::FilterName;
 use crate::arming::Arming;
+use crate::calibration_file::CalibrationFile;
 use crate::count_options::CountOptions;
 use crate::source::{BurstSource, CompassOptions, FlightSource, LogOptions, LogSource, Source};
 
@@ -46,6 +49,10 @@ pub struct ReadOptions {
     /// sigma up to two times too small, factory for a calibrated one costs a tenth of the accuracy
     #[arg(long, value_name = "KNOWLEDGE", value_parser = knowledge)]
     accelerometer: Option<AccelerometerKnowledge>,
+    /// The calibration of the sensors, for a recording that has none yet: what `aplomb calibrate`
+    /// prints as JSON
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Knowledge of the compass's hard iron: factory, hard-iron, calibrated [default: factory]
     #[arg(long, value_name = "KNOWLEDGE", value_parser = compass_knowledge)]
     compass: Option<CompassKnowledge>,
@@ -118,6 +125,7 @@ impl Kind {
                 "--mount",
                 "--sensor-delay-us",
                 "--accelerometer",
+                "--calibration",
                 "--compass",
                 "--compass-delay-us",
                 "--declination",
@@ -155,6 +163,7 @@ impl ReadOptions {
             ("--mount", self.mount.is_some()),
             ("--sensor-delay-us", self.sensor_delay_us.is_some()),
             ("--accelerometer", self.accelerometer.is_some()),
+            ("--calibration", self.calibration.is_some()),
             ("--compass", self.compass.is_some()),
             ("--compass-delay-us", self.compass_delay_us.is_some()),
             ("--declination", self.declination.is_some()),
@@ -186,12 +195,19 @@ impl ReadOptions {
         self.check_compass(form)?;
         self.check_armed(form)?;
         let arming = Arming::new(self.armed_from);
-        let accelerometer = self.accelerometer.or(lines.accelerometer());
+        let (calibration, compass) = self.calibration(form)?;
+        let accelerometer = match calibration.accelerometer {
+            Some(_) => None,
+            None => self.accelerometer.or(lines.accelerometer()),
+        };
         Ok(match form {
             Form::Bursts => {
-                let (mount, config) = (self.mount(), self.counts.config());
-                let delay_us = self.sensor_delay_us;
-                let mut bursts = BurstSource::new(lines, self.filter(), mount, config, delay_us);
+                let mut settings = Settings::new(&Part::MPU_6050);
+                settings.mount = self.mount();
+                settings.sensor_delay_us = self.sensor_delay_us;
+                settings.sensor = self.counts.config();
+                settings.calibration = calibration;
+                let mut bursts = BurstSource::new(lines, self.filter(), settings);
                 bursts.set_arming(arming);
                 if let Some(knowledge) = accelerometer {
                     bursts.set_accelerometer_knowledge(knowledge);
@@ -205,9 +221,14 @@ impl ReadOptions {
                     mount: self.mount(),
                     delay_us: self.sensor_delay_us.unwrap_or(0),
                     ranges: self.counts.ranges(),
+                    calibration,
                     accelerometer,
                     compass: CompassOptions {
-                        knowledge: self.compass.unwrap_or_default(),
+                        knowledge: match compass {
+                            Some(_) => CompassKnowledge::Calibrated,
+                            None => self.compass.unwrap_or_default(),
+                        },
+                        correction: compass.unwrap_or(CompassCorrection::NONE),
                         delay_us: self.compass_delay_us.unwrap_or(0),
                         declination_rad: radians(self.declination.unwrap_or(0.0)),
                     },
@@ -244,6 +265,29 @@ impl ReadOptions {
             ));
         }
         Ok(())
+    }
+
+    /// Reads the calibration of the options; none is the default. Refuses one that would change
+    /// nothing, or that contradicts another option.
+    fn calibration(&self, form: Form) -> Result<(Calibration, Option<CompassCorrection>), String> {
+        let Some(path) = &self.calibration else {
+            return Ok((Calibration::NONE, None));
+        };
+        let CalibrationFile { sensors, compass } = CalibrationFile::read(path)?;
+        let refuse = |reason: &str| Err(format!("{}: {reason}", path.display()));
+        if sensors != Calibration::NONE && self.accelerometer.is_some() {
+            return refuse(
+                "it states what is known of the accelerometer: leave --accelerometer out",
+            );
+        }
+        if compass.is_some() && self.compass.is_some() {
+            return refuse("it states what is known of the compass: leave --compass out");
+        }
+        let has_compass = matches!(form, Form::Log(columns) if columns.has_compass());
+        if sensors == Calibration::NONE && !has_compass {
+            return refuse("it calibrates a compass alone, and the recording has none");
+        }
+        Ok((sensors, compass))
     }
 
     /// Refuses `--armed-from` where the recording has the state, or the filter has none.

@@ -51,6 +51,7 @@ const HEADER: &str = "t_us,qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,\
   aplomb replay flight.log --json
   aplomb replay compass.csv --compass calibrated --compass-delay-us 10000 --sensor-delay-us 4000
   aplomb replay ride.csv --armed-from 5
+  aplomb replay ride.csv --calibration calibration.json
   aplomb replay counts.csv --raw --accel-range 8 --gyro-range 250 --mount z-down
 
 Output: one row for each sample. tilt_sigma_deg is empty without a tilt, the heading's columns while

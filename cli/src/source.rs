@@ -5,7 +5,9 @@ use std::collections::VecDeque;
 use std::error::Error;
 
 use aplomb::attitude::{BodyVector, Quaternion, Vector3};
-use aplomb::calibration::Mount;
+use aplomb::calibration::{
+    AccelerometerCorrection, Calibration, CompassCorrection, Matrix3, Mount,
+};
 use aplomb::estimator::Sample;
 use aplomb::estimator::heading::{CompassKnowledge, HeadingEstimate};
 use aplomb::estimator::kalman::AccelerometerKnowledge;
@@ -115,7 +117,10 @@ pub struct LogOptions {
     pub delay_us: u32,
     /// Ranges of the register counts, if the recording holds counts.
     pub ranges: Option<(AccelerometerRange, GyroscopeRange)>,
-    /// Knowledge of accelerometer and gyroscope; `None` for the default of the kind.
+    /// Calibration of accelerometer and gyroscope, which the rows do not have yet.
+    pub calibration: Calibration,
+    /// Knowledge of accelerometer and gyroscope; `None` for the calibration's, or the default of
+    /// the kind.
     pub accelerometer: Option<AccelerometerKnowledge>,
     /// Compass, if the recording has its columns.
     pub compass: CompassOptions,
@@ -126,10 +131,12 @@ pub struct LogOptions {
 }
 
 /// Options of a recording's compass.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 pub struct CompassOptions {
     /// Knowledge of its hard iron.
     pub knowledge: CompassKnowledge,
+    /// Correction in the sensor's axes, which the rows do not have yet.
+    pub correction: CompassCorrection,
     /// Age of a reading against the sample of its row, µs.
     pub delay_us: u32,
     /// Declination, rad.
@@ -166,6 +173,7 @@ impl LogSource {
     pub fn new(lines: Lines, options: LogOptions) -> Result<Self, Box<dyn Error>> {
         let mut settings = Settings::new(&Part::MPU_6050);
         settings.sensor_delay_us = Some(options.delay_us);
+        settings.calibration = options.calibration;
         if let Some((accelerometer, gyroscope)) = options.ranges {
             settings.sensor.accelerometer_range = accelerometer;
             settings.sensor.gyroscope_range = gyroscope;
@@ -193,11 +201,13 @@ impl LogSource {
         let times_us: Vec<i64> = log.ahead.iter().map(|row| row.t_us).collect();
         settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);
         log.pipeline = AnyPipeline::for_samples(options.filter, &settings, options.delay_us);
-        let knowledge = options.accelerometer.unwrap_or(match options.ranges {
-            Some(_) => AccelerometerKnowledge::Factory,
-            None => AccelerometerKnowledge::Calibrated,
-        });
-        log.pipeline.set_accelerometer_knowledge(knowledge);
+        if options.calibration.accelerometer.is_none() {
+            let knowledge = options.accelerometer.unwrap_or(match options.ranges {
+                Some(_) => AccelerometerKnowledge::Factory,
+                None => AccelerometerKnowledge::Calibrated,
+            });
+            log.pipeline.set_accelerometer_knowledge(knowledge);
+        }
         if options.columns.has_compass() {
             let compass = options.compass;
             let pipeline = &mut log.pipeline;
@@ -233,7 +243,8 @@ impl LogSource {
             t_us: row.time_us,
             sample,
             field: row.field_ut.map(|field| {
-                let Vector3 { x, y, z } = self.options.mount.to_body(vector(field)).0;
+                let field = self.options.compass.correction.apply(vector(field));
+                let Vector3 { x, y, z } = self.options.mount.to_body(field).0;
                 MagneticField { ut: [x, y, z] }
             }),
             truth: row.attitude,
@@ -259,22 +270,32 @@ impl LogOptions {
     fn sample(&self, row: &Row) -> Result<Sample, String> {
         let t_us = unsigned(row.time_us);
         let Some((accelerometer_range, gyroscope_range)) = self.ranges else {
-            return Ok(Sample::new(
-                t_us,
-                self.mount.to_body(vector(row.specific_force_m_s2)),
-                self.mount.to_body(vector(row.rates_rad_s)),
-            ));
+            let (force, rates) = (vector(row.specific_force_m_s2), vector(row.rates_rad_s));
+            return Ok(self.calibrated(t_us, force, rates));
         };
         let [force, rates] = counts(row)?;
         let (force, rates) = (AccelerometerCounts(force), GyroscopeCounts(rates));
-        let mut sample = Sample::new(
+        let mut sample = self.calibrated(
             t_us,
-            self.mount.to_body(force.to_m_s2(accelerometer_range)),
-            self.mount.to_body(rates.to_rad_s(gyroscope_range)),
+            force.to_m_s2(accelerometer_range),
+            rates.to_rad_s(gyroscope_range),
         );
         sample.is_force_saturated = force.is_saturated();
         sample.is_rate_saturated = rates.is_saturated();
         Ok(sample)
+    }
+
+    /// Returns the sample of readings in the sensor's axes.
+    fn calibrated(&self, t_us: u64, force_m_s2: Vector3, rates_rad_s: Vector3) -> Sample {
+        let accelerometer = self.calibration.accelerometer;
+        let accelerometer = accelerometer.unwrap_or(AccelerometerCorrection::NONE);
+        let gyroscope = self.calibration.gyroscope_matrix;
+        let gyroscope = gyroscope.unwrap_or(Matrix3::IDENTITY);
+        Sample::new(
+            t_us,
+            self.mount.to_body(accelerometer.apply(force_m_s2)),
+            self.mount.to_body(gyroscope.times(rates_rad_s)),
+        )
     }
 }
 
@@ -331,19 +352,9 @@ struct TimedBurst {
 }
 
 impl BurstSource {
-    /// Starts bursts after their header. `delay_us` replaces the delay of the low-pass filter. The
-    /// first bursts show the sensor's sample rate.
-    pub fn new(
-        lines: Lines,
-        filter: FilterName,
-        mount: Mount,
-        config: Config,
-        delay_us: Option<u32>,
-    ) -> Self {
-        let mut settings = Settings::new(&Part::MPU_6050);
-        settings.mount = mount;
-        settings.sensor_delay_us = delay_us;
-        settings.sensor = config;
+    /// Starts bursts after their header. The first ones show the sensor's sample rate, which is not
+    /// taken from the settings.
+    pub fn new(lines: Lines, filter: FilterName, mut settings: Settings) -> Self {
         let mut source = Self {
             lines,
             ahead: VecDeque::new(),
