@@ -719,3 +719,33 @@ fn a_step_is_complete_before_the_tilt_filter_begins_its_next() {
         }
     }
 }
+
+/// A simulator's sensor has no noise, and lies exactly as it is told. An axis that points straight
+/// down is turned by no bias of its own.
+#[test]
+fn the_heading_is_known_with_any_axis_straight_down() {
+    let axes = [
+        Vector3::new(1.0, 0.0, 0.0),
+        Vector3::new(0.0, 1.0, 0.0),
+        Vector3::new(0.0, 0.0, 1.0),
+    ];
+    for (place, down) in axes.iter().enumerate() {
+        for sign in [1.0, -1.0] {
+            let down = down.scale(sign);
+            let north = axes[(place + 1) % 3];
+            let mut estimator = Estimator::new();
+            let mut heading = Heading::new(CompassKnowledge::Calibrated);
+            let force = BodyVector(down.scale(-STANDARD_GRAVITY_M_S2));
+            let field = down.scale(EARTH_UT.z) + north.scale(EARTH_UT.x);
+            let ut = [field.x, field.y, field.z];
+            for index in 0..5_000_u64 {
+                estimator.update(&Sample::new(1_000 * index, force, BodyVector::ZERO));
+                heading.update(estimator.filter(), 0.001);
+                if index % 10 == 0 {
+                    heading.add_field(MagneticField { ut }, 5_000);
+                }
+            }
+            assert!(heading.estimate().is_some(), "down is {down:?}");
+        }
+    }
+}

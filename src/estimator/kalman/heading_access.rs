@@ -36,6 +36,8 @@ pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = VELOCITY_NORT
 pub(in crate::estimator) const FIRST_GYROSCOPE: usize = DYNAMIC;
 /// Number of the gyroscope's parameters.
 pub(in crate::estimator) const GYROSCOPE: usize = GYROSCOPE_PARAMETERS;
+/// Parameters that are the gyroscope's bias.
+const BIAS_AXES: core::ops::Range<usize> = 0..3;
 /// Most measurements of a covariance step.
 pub(in crate::estimator) const MEASUREMENTS: usize = MOST_MEASUREMENTS;
 
@@ -95,17 +97,21 @@ impl Kalman {
 
     /// Returns whether tilt and velocity have just been reset: they correlate with nothing.
     pub(in crate::estimator) fn is_motion_reset(&self) -> bool {
-        let covariance = &self.step.covariance;
-        let is_reset = |state| covariance.cross_entry(0, state) == 0.0;
-        !self.step.is_under_way() && is_reset(TILT_NORTH) && is_reset(TILT_EAST)
+        !self.step.is_under_way() && self.is_reset(TILT_NORTH) && self.is_reset(TILT_EAST)
     }
 
     /// Returns whether the velocity has been reset alone: it correlates with no parameter.
     pub(in crate::estimator) fn is_velocity_reset(&self) -> bool {
-        let covariance = &self.step.covariance;
-        VELOCITY
+        VELOCITY.into_iter().all(|state| self.is_reset(state))
+    }
+
+    /// Returns whether a dynamic state correlates with no axis of the gyroscope's bias. One axis
+    /// alone says nothing: while it is exactly vertical, it turns neither tilt nor velocity.
+    #[inline]
+    fn is_reset(&self, state: usize) -> bool {
+        BIAS_AXES
             .into_iter()
-            .all(|state| covariance.cross_entry(0, state) == 0.0)
+            .all(|axis| self.step.covariance.cross_entry(axis, state) == 0.0)
     }
 
     /// Returns the attitude at the last earth step.
