@@ -37,6 +37,14 @@ impl BaudChange {
         matches!(self, Self::Requested(_) | Self::Reverting { .. })
     }
 
+    /// Returns the rate that is requested or being tried.
+    pub(super) const fn requested(&self) -> Option<u32> {
+        match self {
+            Self::Requested(baud) | Self::Trial { baud, .. } => Some(*baud),
+            Self::Steady | Self::Reverting { .. } => None,
+        }
+    }
+
     /// Ends a trial because a command or a frame has arrived, and returns the new baud rate.
     pub(super) fn confirm(&mut self) -> Option<u32> {
         let Self::Trial { baud, .. } = *self else {

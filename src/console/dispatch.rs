@@ -177,6 +177,12 @@ impl Console {
         self.dispatch(command, now_us, module, &mut Reply(output))
     }
 
+    /// Returns the baud rate in use, or the requested one. The record has it once it is confirmed.
+    pub fn baud(&self) -> u32 {
+        let requested = self.baud.requested();
+        requested.unwrap_or(self.working.preferences.baud)
+    }
+
     /// Keeps a new baud rate, because the other end was understood at it.
     pub fn confirm_baud(&mut self) {
         if let Some(baud) = self.baud.confirm() {

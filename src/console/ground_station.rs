@@ -201,11 +201,13 @@ mod tests {
         let (sample, record) = (Sample::default(), Record::default());
         let vehicle = Vehicle {
             snapshot: None,
+            is_due: false,
             sample: &sample,
             temperature_celsius: 0.0,
             heading: None,
             compass: CompassStatus::default(),
             record: &record,
+            baud: 115_200,
             is_armed: false,
             bursts_failed: 0,
         };

@@ -151,7 +151,8 @@ impl Commands {
         self.station.session.send_text(severity, line, output);
     }
 
-    /// Writes the MAVLink messages that are due, with the latest attitude if one `is_due`.
+    /// Writes the MAVLink messages that are due. `is_due` is true if those with the latest attitude
+    /// are.
     pub fn put_messages(
         &mut self,
         mut estimation: impl Mutex<T = Estimation>,
@@ -165,10 +166,8 @@ impl Commands {
             if compass::IS_BUILT_IN {
                 compass = estimation.compass.status();
             }
-            if is_due {
-                // Under the lock, so that attitude and sample are of one time.
-                latest = Latest::read();
-            }
+            // Under the lock, so that attitude and sample are of one time.
+            latest = Latest::read();
             let pipeline = estimation.pipeline.as_ref();
             pipeline.map_or((Sample::default(), 0.0), |pipeline| {
                 (*pipeline.sample(), pipeline.temperature_celsius())
@@ -177,11 +176,13 @@ impl Commands {
         let latest = latest.as_ref().map(|(latest, _)| latest);
         let vehicle = Vehicle {
             snapshot: latest.map(|latest| &latest.snapshot),
+            is_due,
             sample: &sample,
             temperature_celsius,
             heading: latest.and_then(|latest| latest.heading),
             compass,
             record: self.console.working(),
+            baud: self.console.baud(),
             is_armed: self.console.is_armed(),
             bursts_failed,
         };

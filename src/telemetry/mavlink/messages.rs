@@ -14,16 +14,29 @@ use crate::health::Flags;
 use crate::pipeline::Snapshot;
 use crate::settings::Record;
 use crate::telemetry::heading::Line as HeadingLine;
-use crate::units::MagneticField;
 
+/// Fields of HIGHRES_IMU that a sample updates.
+const UPDATED_SAMPLE: HighresImuUpdatedFlags = HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YACC)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZACC)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XGYRO)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YGYRO)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_TEMPERATURE);
+/// Fields of HIGHRES_IMU that a reading of the compass updates.
+const UPDATED_FIELD: HighresImuUpdatedFlags = HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XMAG
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YMAG)
+    .union(HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZMAG);
 /// Gauss per microtesla.
 const GAUSS_PER_UT: f32 = 0.01;
 
 /// Data for the messages.
 #[derive(Debug, Clone, Copy)]
 pub struct Vehicle<'a> {
-    /// Latest attitude, if there is a new one.
+    /// Latest attitude; `None` before the first.
     pub snapshot: Option<&'a Snapshot>,
+    /// True if the attitude is due, and the messages that hold it.
+    pub is_due: bool,
     /// Sample of that attitude, in body axes.
     pub sample: &'a Sample,
     /// Die temperature, °C.
@@ -34,6 +47,8 @@ pub struct Vehicle<'a> {
     pub compass: CompassStatus,
     /// Record in use.
     pub record: &'a Record,
+    /// Baud rate in use, or the requested one: the record has a new one once it is confirmed.
+    pub baud: u32,
     /// True if the module is armed.
     pub is_armed: bool,
     /// Bursts that failed since start.
@@ -72,9 +87,9 @@ impl Vehicle<'_> {
     }
 }
 
-/// Builds HEARTBEAT. `flags` are those of the latest attitude.
+/// Builds HEARTBEAT. `is_lost` is true if there has been no measurement for some time.
 #[inline(never)]
-pub(super) fn heartbeat(vehicle: &Vehicle<'_>, flags: Option<Flags>) -> HEARTBEAT_DATA {
+pub(super) fn heartbeat(vehicle: &Vehicle<'_>, is_lost: bool) -> HEARTBEAT_DATA {
     HEARTBEAT_DATA {
         custom_mode: 0,
         mavtype: MavType::MAV_TYPE_GENERIC,
@@ -85,10 +100,11 @@ pub(super) fn heartbeat(vehicle: &Vehicle<'_>, flags: Option<Flags>) -> HEARTBEA
         } else {
             MavModeFlag::empty()
         },
-        system_status: match flags {
-            None => MavState::MAV_STATE_CRITICAL,
+        system_status: match vehicle.snapshot {
+            _ if is_lost => MavState::MAV_STATE_CRITICAL,
+            None => MavState::MAV_STATE_BOOT,
             Some(_) if vehicle.is_armed => MavState::MAV_STATE_ACTIVE,
-            Some(flags) if is_calibrating(flags) => MavState::MAV_STATE_CALIBRATING,
+            Some(latest) if is_calibrating(latest.flags) => MavState::MAV_STATE_CALIBRATING,
             Some(_) => MavState::MAV_STATE_STANDBY,
         },
         // Version of the protocol's definitions, the same for MAVLink 2.
@@ -165,21 +181,26 @@ pub(super) fn quaternion(snapshot: &Snapshot) -> ATTITUDE_QUATERNION_DATA {
     }
 }
 
-/// Builds HIGHRES_IMU.
+/// Builds HIGHRES_IMU. It marks the sample as updated if that `is_measured`, and the field if there
+/// is one and it is new.
 #[inline(never)]
-pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DATA {
+pub(super) fn imu(
+    snapshot: &Snapshot,
+    vehicle: &Vehicle<'_>,
+    is_measured: bool,
+    has_new_field: bool,
+) -> HIGHRES_IMU_DATA {
     let force = vehicle.sample.specific_force_m_s2;
     let rates = snapshot.body_rates_rad_s;
-    let (MagneticField { ut }, magnetometer) = match vehicle.compass.field {
-        None => (MagneticField::default(), HighresImuUpdatedFlags::empty()),
-        Some(field) => (
-            field,
-            HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XMAG
-                | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YMAG
-                | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZMAG,
-        ),
-    };
-    let [xmag, ymag, zmag] = ut.map(|part| part * GAUSS_PER_UT);
+    let field = vehicle.compass.field;
+    let mut updated = HighresImuUpdatedFlags::empty();
+    if is_measured {
+        updated |= UPDATED_SAMPLE;
+    }
+    if has_new_field && field.is_some() {
+        updated |= UPDATED_FIELD;
+    }
+    let [xmag, ymag, zmag] = field.unwrap_or_default().ut.map(|part| part * GAUSS_PER_UT);
     HIGHRES_IMU_DATA {
         time_usec: snapshot.t_us,
         xacc: force.x,
@@ -192,14 +213,7 @@ pub(super) fn imu(snapshot: &Snapshot, vehicle: &Vehicle<'_>) -> HIGHRES_IMU_DAT
         ymag,
         zmag,
         temperature: vehicle.temperature_celsius,
-        fields_updated: HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XACC
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YACC
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZACC
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_XGYRO
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_YGYRO
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_ZGYRO
-            | HighresImuUpdatedFlags::HIGHRES_IMU_UPDATED_TEMPERATURE
-            | magnetometer,
+        fields_updated: updated,
         ..HIGHRES_IMU_DATA::DEFAULT
     }
 }
@@ -222,12 +236,14 @@ pub(super) fn version() -> AUTOPILOT_VERSION_DATA {
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
             | MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT,
         // One byte each, and 255 for a release.
-        flight_sw_version: u32::from_be_bytes([
-            number(env!("CARGO_PKG_VERSION_MAJOR")),
-            number(env!("CARGO_PKG_VERSION_MINOR")),
-            number(env!("CARGO_PKG_VERSION_PATCH")),
-            255,
-        ]),
+        flight_sw_version: const {
+            u32::from_be_bytes([
+                number(env!("CARGO_PKG_VERSION_MAJOR")),
+                number(env!("CARGO_PKG_VERSION_MINOR")),
+                number(env!("CARGO_PKG_VERSION_PATCH")),
+                255,
+            ])
+        },
         ..AUTOPILOT_VERSION_DATA::DEFAULT
     }
 }
@@ -243,6 +259,9 @@ pub(super) const fn milliseconds(t_us: u64) -> u32 {
 }
 
 /// Parses a part of the version.
-fn number(text: &str) -> u8 {
-    text.parse().unwrap_or(u8::MAX)
+const fn number(text: &str) -> u8 {
+    match u8::from_str_radix(text, 10) {
+        Ok(number) => number,
+        Err(_) => u8::MAX,
+    }
 }

@@ -54,11 +54,13 @@
 //! let mut output = Output::new(&mut buffer);
 //! let vehicle = Vehicle {
 //!     snapshot: None,
+//!     is_due: true,
 //!     sample: &Sample::default(),
 //!     temperature_celsius: 25.0,
 //!     heading: None,
 //!     compass: Default::default(),
 //!     record: &Record::default(),
+//!     baud: 115_200,
 //!     is_armed: false,
 //!     bursts_failed: 0,
 //! };

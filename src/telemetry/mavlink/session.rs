@@ -4,8 +4,8 @@
 mod tests;
 
 use ::mavlink::dialects::common::{
-    MISSION_COUNT_DATA, MavParamType, MavSeverity, PARAM_VALUE_DATA, STATUSTEXT_DATA,
-    SYS_STATUS_DATA,
+    MISSION_COUNT_DATA, MavParamType, MavSeverity, MavSysStatusSensor, PARAM_VALUE_DATA,
+    STATUSTEXT_DATA, SYS_STATUS_DATA,
 };
 use ::mavlink::types::CharArray;
 use ::mavlink::{MAVLinkV2MessageRaw, MavHeader, MessageData};
@@ -16,18 +16,20 @@ use super::super::output::Output;
 use super::action::{Action, Outcome, Ticket};
 use super::inbox::{Inbox, Reply};
 use super::messages::{Vehicle, attitude, health, heartbeat, hud, imu, quaternion, version};
-use super::parameter::PARAMETERS;
+use super::parameter::{PARAMETERS, Parameter};
 use super::receiver::Receiver;
 use super::wire::{COMPONENT, Extended, SYSTEM};
 use crate::health::Flags;
+use crate::units::MagneticField;
 
 /// Letters in one STATUSTEXT.
 const TEXT_LENGTH: usize = 50;
-/// Time without an attitude after which the module is in a critical state, µs. At the lowest rate
-/// one comes each second.
-const LONGEST_SILENCE_US: u64 = 2_000_000;
-/// Time between two heartbeats, and between two SYS_STATUS, µs.
+/// Time without a measurement after which the module is in a critical state, µs.
+const LONGEST_OUTAGE_US: u64 = 500_000;
+/// Time between two heartbeats, and between two SYS_STATUS if no sensor's health changes, µs.
 const HEARTBEAT_PERIOD_US: u64 = 1_000_000;
+/// Shortest time between two SYS_STATUS, µs.
+const SHORTEST_STATUS_PERIOD_US: u64 = 100_000;
 /// Time between two VFR_HUD, µs.
 const HUD_PERIOD_US: u64 = 500_000;
 /// Length of a frame's header and checksum, in bytes.
@@ -43,8 +45,14 @@ pub struct Session {
     next_heartbeat_us: u64,
     next_status_us: u64,
     next_hud_us: u64,
-    /// Flags of the last attitude that was sent, and the time.
-    last_flags: Option<(Flags, u64)>,
+    /// Time of the last measurement, µs.
+    measured_us: u64,
+    /// Healthy sensors in the last SYS_STATUS.
+    reported: MavSysStatusSensor,
+    /// Sensors that were not healthy since then, if only for one attitude.
+    unhealthy: MavSysStatusSensor,
+    /// Field in the last HIGHRES_IMU.
+    sent_field: Option<MagneticField>,
     /// Next parameter of a requested list.
     listed: u16,
     text_id: u16,
@@ -73,7 +81,10 @@ impl Session {
             next_heartbeat_us: 0,
             next_status_us: 0,
             next_hud_us: 0,
-            last_flags: None,
+            measured_us: 0,
+            reported: MavSysStatusSensor::empty(),
+            unhealthy: MavSysStatusSensor::empty(),
+            sent_field: None,
             listed: PARAMETERS.len() as u16,
             text_id: 0,
         }
@@ -124,17 +135,15 @@ impl Session {
     /// is the time since boot, µs.
     #[inline(never)]
     pub fn fill(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
-        if let Some(snapshot) = vehicle.snapshot {
-            self.last_flags = Some((snapshot.flags, now_us));
+        let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
+        let is_measured = flags.is_some_and(|flags| !flags.intersects(Flags::NO_MEASUREMENT));
+        if is_measured {
+            self.measured_us = now_us;
         }
-        // At a low rate most calls have no attitude.
-        let flags = self
-            .last_flags
-            .filter(|(_, sent_us)| now_us.saturating_sub(*sent_us) < LONGEST_SILENCE_US)
-            .map(|(flags, _)| flags);
         if now_us >= self.next_heartbeat_us {
             self.next_heartbeat_us = now_us + HEARTBEAT_PERIOD_US;
-            self.send_or_drop(&heartbeat(vehicle, flags), output);
+            let is_lost = now_us.saturating_sub(self.measured_us) >= LONGEST_OUTAGE_US;
+            self.send_or_drop(&heartbeat(vehicle, is_lost), output);
         }
         while let Some(reply) = self.inbox.replies.front().copied() {
             if !self.reply(reply, vehicle, output) {
@@ -142,17 +151,18 @@ impl Session {
             }
             self.inbox.replies.pop_front();
         }
-        if now_us >= self.next_status_us {
-            self.next_status_us = now_us + HEARTBEAT_PERIOD_US;
-            let status = self.status(vehicle, flags);
-            self.send_or_drop(&status, output);
-        }
-        if let Some(snapshot) = &vehicle.attitude() {
+        self.report_health(now_us, vehicle, output);
+        if let Some(snapshot) = &vehicle.attitude()
+            && vehicle.is_due
+        {
             self.send_or_drop(&attitude(snapshot), output);
             self.send_or_drop(&quaternion(snapshot), output);
-            self.send_or_drop(&imu(snapshot, vehicle), output);
+            let has_new_field = vehicle.compass.field != self.sent_field;
+            self.sent_field = vehicle.compass.field;
+            self.send_or_drop(&imu(snapshot, vehicle, is_measured, has_new_field), output);
         }
         if let (Some(snapshot), Some(heading)) = (vehicle.snapshot, vehicle.valid_heading())
+            && vehicle.is_due
             && now_us >= self.next_hud_us
         {
             self.next_hud_us = now_us + HUD_PERIOD_US;
@@ -226,7 +236,11 @@ impl Session {
                     return true;
                 };
                 let value = PARAM_VALUE_DATA {
-                    param_value: parameter.value(vehicle.record),
+                    param_value: match parameter {
+                        // The record has a new one after its first command or frame.
+                        Parameter::Baud => vehicle.baud as f32,
+                        _ => parameter.value(vehicle.record),
+                    },
                     param_count: PARAMETERS.len() as u16,
                     param_index: index,
                     param_id: CharArray::new(padded(name)),
@@ -253,14 +267,26 @@ impl Session {
         }
     }
 
-    /// Builds SYS_STATUS.
-    #[inline(never)]
-    fn status(&self, vehicle: &Vehicle<'_>, flags: Option<Flags>) -> SYS_STATUS_DATA {
+    /// Writes SYS_STATUS if it is due, or if a sensor's health has changed. A sensor that was not
+    /// healthy for one attitude is reported so once.
+    fn report_health(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
         let all = vehicle.sensors();
-        SYS_STATUS_DATA {
+        let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
+        self.unhealthy |= all - health(flags, all);
+        let healthy = all - self.unhealthy;
+        let due_us = if healthy == self.reported {
+            self.next_status_us
+        } else {
+            (self.next_status_us + SHORTEST_STATUS_PERIOD_US).saturating_sub(HEARTBEAT_PERIOD_US)
+        };
+        if now_us < due_us {
+            return;
+        }
+        self.next_status_us = now_us + HEARTBEAT_PERIOD_US;
+        let status = SYS_STATUS_DATA {
             onboard_control_sensors_present: all,
             onboard_control_sensors_enabled: all,
-            onboard_control_sensors_health: health(flags, all),
+            onboard_control_sensors_health: healthy,
             // Unknown.
             voltage_battery: u16::MAX,
             current_battery: -1,
@@ -268,6 +294,12 @@ impl Session {
             errors_comm: self.dropped(),
             errors_count1: vehicle.bursts_failed,
             ..SYS_STATUS_DATA::DEFAULT
+        };
+        if self.send(&status, output) {
+            self.reported = healthy;
+            self.unhealthy = MavSysStatusSensor::empty();
+        } else {
+            self.dropped = self.dropped.saturating_add(1);
         }
     }
 

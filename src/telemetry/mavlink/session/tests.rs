@@ -44,6 +44,9 @@ struct Bench {
     record: Record,
     snapshot: Snapshot,
     sample: Sample,
+    field: Option<MagneticField>,
+    is_armed: bool,
+    baud: u32,
     text: Vec<u8>,
     now_us: u64,
 }
@@ -68,6 +71,9 @@ impl Bench {
                 specific_force_m_s2: Vector3::new(0.0, 0.5, -9.8),
                 ..Sample::default()
             },
+            field: None,
+            is_armed: false,
+            baud: 115_200,
             text: Vec::new(),
             now_us: 5_000_000,
         };
@@ -98,13 +104,18 @@ impl Bench {
         let mut buffer = vec![0; size];
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
-            snapshot: has_attitude.then_some(&self.snapshot),
+            snapshot: Some(&self.snapshot),
+            is_due: has_attitude,
             sample: &self.sample,
             temperature_celsius: 25.5,
             heading: None,
-            compass: CompassStatus::default(),
+            compass: CompassStatus {
+                field: self.field,
+                ..CompassStatus::default()
+            },
             record: &self.record,
-            is_armed: false,
+            baud: self.baud,
+            is_armed: self.is_armed,
             bursts_failed: 3,
         };
         self.session.fill(self.now_us, &vehicle, &mut output);
@@ -188,11 +199,13 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
         bench.snapshot.t_us = 6_000_000 + step * 20_000;
         let vehicle = Vehicle {
             snapshot: Some(&bench.snapshot),
+            is_due: true,
             sample: &bench.sample,
             temperature_celsius: 25.5,
             heading: None,
             compass: CompassStatus::default(),
             record: &bench.record,
+            baud: bench.baud,
             is_armed: true,
             bursts_failed: 3,
         };
@@ -244,15 +257,66 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
     assert_eq!((heartbeats, statuses), (2, 2));
 }
 
-/// At a low rate most calls have no attitude. Without any for two seconds the state is critical.
+/// State in the next heartbeat, if the module has this attitude.
+fn state(bench: &mut Bench, snapshot: Option<&Snapshot>) -> MavState {
+    let mut buffer = [0; 512];
+    let mut output = Output::new(&mut buffer);
+    let vehicle = Vehicle {
+        snapshot,
+        is_due: false,
+        sample: &bench.sample,
+        temperature_celsius: 25.5,
+        heading: None,
+        compass: CompassStatus::default(),
+        record: &bench.record,
+        baud: bench.baud,
+        is_armed: bench.is_armed,
+        bursts_failed: 3,
+    };
+    bench.session.fill(bench.now_us, &vehicle, &mut output);
+    let length = output.length();
+    let received = messages(&buffer[..length]);
+    let Some((_, MavMessage::HEARTBEAT(beat))) = received.first() else {
+        panic!("{received:?}");
+    };
+    beat.system_status
+}
+
+/// Half a second without a measurement is critical, whether the module is armed or not.
+#[test]
+fn a_sensor_that_falls_silent_makes_the_heartbeat_critical() {
+    for (is_armed, healthy) in [
+        (false, MavState::MAV_STATE_STANDBY),
+        (true, MavState::MAV_STATE_ACTIVE),
+    ] {
+        let mut bench = Bench::new();
+        bench.is_armed = is_armed;
+        let mut snapshot = bench.snapshot;
+        for (flags, expected) in [
+            (Flags::VALID, healthy),
+            (Flags::DEGRADED | Flags::STALE, MavState::MAV_STATE_CRITICAL),
+            (Flags::FROZEN, MavState::MAV_STATE_CRITICAL),
+            (Flags::VALID, healthy),
+        ] {
+            bench.now_us += 1_000_000;
+            snapshot.flags = flags;
+            assert_eq!(state(&mut bench, Some(&snapshot)), expected, "{flags}");
+        }
+        // One sample that is no measurement is nothing to worry about.
+        bench.now_us += 900_000;
+        bench.receive_all(512);
+        bench.now_us += 100_000;
+        snapshot.flags = Flags::REJECTED;
+        assert_eq!(state(&mut bench, Some(&snapshot)), healthy);
+    }
+}
+
+/// At a low rate most calls have no attitude that is due.
 #[test]
 fn a_heartbeat_between_two_attitudes_has_the_state_of_the_last() {
     let mut bench = Bench::new();
-    let sent_us = 5_100_000;
-    bench.now_us = sent_us;
-    assert_eq!(bench.receive_with(512, true).len(), 3);
-    for (later_us, is_healthy) in [(950_000, true), (1_960_000, true), (2_970_000, false)] {
-        bench.now_us = sent_us + later_us;
+    for _ in 0..5 {
+        bench.now_us += 1_000_000;
         let received = bench.receive_all(512);
         let [
             (_, MavMessage::HEARTBEAT(beat)),
@@ -261,12 +325,124 @@ fn a_heartbeat_between_two_attitudes_has_the_state_of_the_last() {
         else {
             panic!("{received:?}");
         };
-        let is_standby = beat.system_status == MavState::MAV_STATE_STANDBY;
-        let is_critical = beat.system_status == MavState::MAV_STATE_CRITICAL;
-        assert_eq!((is_standby, is_critical), (is_healthy, !is_healthy));
+        assert_eq!(beat.system_status, MavState::MAV_STATE_STANDBY);
         let health = status.onboard_control_sensors_health.bits();
-        assert_eq!(health, if is_healthy { 0x0020_0003 } else { 0 });
+        assert_eq!(health, 0x0020_0003);
     }
+}
+
+#[test]
+fn a_module_without_an_attitude_boots_and_is_then_critical() {
+    let mut bench = Bench::new();
+    for (now_us, expected) in [
+        (10_000, MavState::MAV_STATE_BOOT),
+        (1_010_000, MavState::MAV_STATE_CRITICAL),
+    ] {
+        if now_us < 1_000_000 {
+            bench.session = Session::new();
+        }
+        bench.now_us = now_us;
+        assert_eq!(state(&mut bench, None), expected);
+    }
+}
+
+/// Health bits in the messages of a call.
+fn healths(bench: &mut Bench) -> Vec<u32> {
+    let received = bench.receive_all(512);
+    let status = |message: &(u8, MavMessage)| match &message.1 {
+        MavMessage::SYS_STATUS(status) => Some(status.onboard_control_sensors_health.bits()),
+        _ => None,
+    };
+    received.iter().filter_map(status).collect()
+}
+
+#[test]
+fn one_invalid_attitude_shows_in_a_status_at_once() {
+    let mut bench = Bench::new();
+    bench.now_us += 300_000;
+    assert_eq!(healths(&mut bench), []);
+    bench.snapshot.flags = Flags::FROZEN | Flags::DEGRADED;
+    assert_eq!(healths(&mut bench), [0]);
+    // The status that follows is that of now.
+    bench.snapshot.flags = Flags::VALID;
+    bench.now_us += 99_000;
+    assert_eq!(healths(&mut bench), []);
+    bench.now_us += 1_000;
+    assert_eq!(healths(&mut bench), [0x0020_0003]);
+    // Flags that come and go do not fill the line.
+    let mut statuses = 0;
+    for step in 0..1_000 {
+        bench.now_us += 1_000;
+        bench.snapshot.flags = if step % 2 == 0 {
+            Flags::empty()
+        } else {
+            Flags::VALID
+        };
+        let found = healths(&mut bench);
+        assert!(found.iter().all(|health| *health == 3), "{found:?}");
+        statuses += found.len();
+    }
+    assert!((1..=10).contains(&statuses), "{statuses}");
+}
+
+#[test]
+fn a_status_without_room_is_sent_later() {
+    let mut bench = Bench::new();
+    bench.now_us += 300_000;
+    bench.snapshot.flags = Flags::FROZEN;
+    assert_eq!(bench.receive_all(20), []);
+    bench.snapshot.flags = Flags::VALID;
+    bench.now_us += 100_000;
+    assert_eq!(healths(&mut bench), [0]);
+}
+
+/// Fields that the next HIGHRES_IMU marks as updated.
+fn updated(bench: &mut Bench) -> u16 {
+    let received = bench.receive_with(512, true);
+    let updated = |message: &(u8, MavMessage)| match &message.1 {
+        MavMessage::HIGHRES_IMU(imu) => Some(imu.fields_updated.bits()),
+        _ => None,
+    };
+    let found = received.iter().find_map(updated);
+    found.expect("a HIGHRES_IMU")
+}
+
+#[test]
+fn only_a_new_measurement_counts_as_updated() {
+    const SAMPLE: u16 = 0x103F;
+    const FIELD: u16 = 0x01C0;
+    let mut bench = Bench::new();
+    assert_eq!(updated(&mut bench), SAMPLE);
+    bench.field = Some(MagneticField {
+        ut: [20.0, 0.0, 44.0],
+    });
+    assert_eq!(updated(&mut bench), SAMPLE | FIELD);
+    assert_eq!(updated(&mut bench), SAMPLE);
+    bench.snapshot.flags = Flags::STALE | Flags::DEGRADED;
+    assert_eq!(updated(&mut bench), 0);
+    bench.field = Some(MagneticField {
+        ut: [20.0, 0.1, 44.0],
+    });
+    assert_eq!(updated(&mut bench), FIELD);
+    bench.field = None;
+    bench.snapshot.flags = Flags::VALID;
+    assert_eq!(updated(&mut bench), SAMPLE);
+}
+
+/// The record has the new rate only once a frame has arrived at it.
+#[test]
+fn a_baud_rate_is_answered_with_the_requested_one() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.answers(&set("OUT_BAUD", 921_600.0)), []);
+    let (ticket, action) = bench.session.take_action().expect("a change");
+    assert_eq!(action, Action::SetBaud(921_600));
+    bench.baud = 921_600;
+    bench.session.answer(ticket, Outcome::Accepted);
+    let answers = bench.receive_all(512);
+    let [(_, MavMessage::PARAM_VALUE(value))] = &answers[..] else {
+        panic!("{answers:?}");
+    };
+    assert_eq!(value.param_value, 921_600.0);
 }
 
 /// Several pieces end with a zero, so the last one is not full.
@@ -334,6 +510,7 @@ fn with_compass(flags: Flags, compass: CompassStatus) -> Vec<MavMessage> {
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
             snapshot: Some(&bench.snapshot),
+            is_due: true,
             sample: &bench.sample,
             temperature_celsius: 25.5,
             heading: Some(HeadingEstimate {
@@ -343,6 +520,7 @@ fn with_compass(flags: Flags, compass: CompassStatus) -> Vec<MavMessage> {
             }),
             compass,
             record: &bench.record,
+            baud: bench.baud,
             is_armed: false,
             bursts_failed: 0,
         };
@@ -369,6 +547,7 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
         (Flags::VALID, 30.0),
     ] {
         let mut huds = 0;
+        let mut updated = Vec::new();
         for message in with_compass(flags, compass) {
             match message {
                 MavMessage::ATTITUDE(attitude) => {
@@ -388,7 +567,7 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
                 MavMessage::HIGHRES_IMU(imu) => {
                     let field = Vector3::new(imu.xmag, imu.ymag, imu.zmag);
                     assert!((field - Vector3::new(0.2, -0.05, 0.45)).is_within(1e-6));
-                    assert_eq!(imu.fields_updated.bits(), 0x11FF);
+                    updated.push(imu.fields_updated.bits());
                 }
                 MavMessage::VFR_HUD(hud) => {
                     huds += 1;
@@ -401,6 +580,9 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
                 _ => {}
             }
         }
+        // The compass has given one reading.
+        assert_eq!(updated[0], 0x11FF);
+        assert!(updated[1..].iter().all(|bits| *bits == 0x103F));
         let is_valid = flags.contains(Flags::HEADING_VALID);
         assert_eq!(huds, if is_valid { 2 } else { 0 });
     }
@@ -508,11 +690,13 @@ fn every_command_is_answered_known_or_not() {
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
             snapshot: None,
+            is_due: false,
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
             compass: CompassStatus::default(),
             record: &bench.record,
+            baud: bench.baud,
             is_armed: false,
             bursts_failed: 0,
         };
@@ -642,11 +826,13 @@ fn a_ground_station_finds_the_version_and_no_mission() {
         let reply = bench.session.inbox.replies.pop_front().expect("a reply");
         let vehicle = Vehicle {
             snapshot: None,
+            is_due: false,
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
             compass: CompassStatus::default(),
             record: &bench.record,
+            baud: bench.baud,
             is_armed: false,
             bursts_failed: 0,
         };
@@ -750,11 +936,13 @@ fn a_dropped_message_is_counted_and_takes_no_number() {
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
             snapshot: Some(&bench.snapshot),
+            is_due: true,
             sample: &bench.sample,
             temperature_celsius: 0.0,
             heading: None,
             compass: CompassStatus::default(),
             record: &bench.record,
+            baud: bench.baud,
             is_armed: false,
             bursts_failed: 0,
         };
