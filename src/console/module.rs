@@ -126,6 +126,11 @@ pub struct State {
     pub tilt_sigma_rad: f32,
     /// Bursts that failed since start.
     pub bursts_failed: u16,
+    /// Times that samples were lost, since power-up; at most 65,535.
+    pub times_missed: u16,
+    /// Times that samples began to be no measurements, frozen or rejected, since power-up; at most
+    /// 65,535.
+    pub times_refused: u16,
     /// Times that the receiver reported errors or lost bytes, since power-up: a reset keeps the
     /// count.
     pub reception_errors: u32,

@@ -39,7 +39,7 @@ impl fmt::Display for Status<'_> {
             formatter,
             "flags={} sensor={}{}{} mount={}{} calibrated={} bias_dps={} bias_sigma_dps={}{} \
              tilt_sigma_deg={} temperature_c={} armed={} unsaved={} bursts_failed={} \
-             uart_errors={} lines_dropped={} frames_dropped={}{}",
+             missed={} refused={} uart_errors={} lines_dropped={} frames_dropped={}{}",
             state.flags,
             SensorName(state.sensor),
             CompassText(&state.compass),
@@ -55,6 +55,8 @@ impl fmt::Display for Status<'_> {
             yes_no(self.is_armed),
             yes_no(self.has_unsaved),
             state.bursts_failed,
+            state.times_missed,
+            state.times_refused,
             state.reception_errors,
             self.lines_dropped,
             state.frames_dropped,

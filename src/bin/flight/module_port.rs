@@ -68,6 +68,8 @@ where
     fn state(&mut self) -> State {
         let mut state = State {
             bursts_failed: self.bursts_failed,
+            times_missed: times(&[FaultClass::SamplesMissed]),
+            times_refused: times(&[FaultClass::Frozen, FaultClass::Rejected]),
             reception_errors: retained::counted(FaultClass::UartInput),
             frames_dropped: retained::counted(FaultClass::TelemetryLate),
             ..State::default()
@@ -75,6 +77,7 @@ where
         if let Some((Latest { snapshot, heading }, _)) = Latest::read() {
             state.heading = heading.map(|heading| HeadingLine::new(&snapshot, &heading));
             state.flags = snapshot.flags;
+            state.tilt_sigma_rad = snapshot.tilt_sigma_rad();
         }
         state.sensor = self.requests.lock(|requests| requests.sensor);
         self.estimation.lock(|estimation| {
@@ -87,7 +90,6 @@ where
             state.bias_rad_s = pipeline.gyroscope_offset_body_rad_s();
             state.bias_sigma_rad_s = filter.largest_bias_sigma_rad_s();
             state.accelerometer_offset_m_s2 = pipeline.certain_accelerometer_offset_m_s2();
-            state.tilt_sigma_rad = filter.tilt_sigma_rad();
         });
         state
     }
@@ -209,4 +211,10 @@ where
     fn take_outcome(&mut self) -> Option<Outcome> {
         self.requests.lock(|requests| requests.outcome.take())
     }
+}
+
+/// Returns the number of these faults since power-up, at most 65,535.
+fn times(classes: &[FaultClass]) -> u16 {
+    let count = |sum: u32, class: &FaultClass| sum.saturating_add(retained::counted(*class));
+    classes.iter().fold(0, count).min(u16::MAX.into()) as u16
 }

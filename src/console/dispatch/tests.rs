@@ -71,6 +71,8 @@ impl Module for FakeModule {
             bias_rad_s: Vector3::new(radians(0.5), radians(-1.0), 0.0),
             bias_sigma_rad_s: radians(0.05),
             tilt_sigma_rad: radians(0.4),
+            times_missed: 3,
+            times_refused: 2,
             ..State::default()
         }
     }
@@ -315,7 +317,7 @@ fn every_command_is_answered_with_one_line() {
             "ok status: flags=MISSED|VALID sensor=MPU-6050@0x68 mount=+x-z(default) \
              calibrated=none bias_dps=0.500,-1.000,0.000 \
              bias_sigma_dps=0.050 tilt_sigma_deg=0.40 temperature_c=31.3 armed=no unsaved=no \
-             bursts_failed=0 \
+             bursts_failed=0 missed=3 refused=2 \
              uart_errors=0 lines_dropped=0 frames_dropped=0",
         ),
         (
@@ -1430,7 +1432,8 @@ fn the_longest_answers_fit() {
     harness.ask("calibrate temperature");
     let long = Vector3::new(-39.99, -39.99, -39.99);
     let state = State {
-        flags: Flags::all(),
+        // With these others no attitude is valid, nor is its heading.
+        flags: Flags::all() - Flags::VALID - Flags::HEADING_VALID,
         sensor: Some((&Part::MPU_6050, 0x69)),
         compass: CompassStatus {
             part: Some(("HMC5883L/DA5883", 0x1E)),
@@ -1446,10 +1449,12 @@ fn the_longest_answers_fit() {
         }),
         temperature_celsius: -39.99,
         bias_rad_s: long,
-        bias_sigma_rad_s: -39.99,
+        bias_sigma_rad_s: 39.99,
         accelerometer_offset_m_s2: Some(Vector3::new(-0.999, -0.999, -0.999)),
-        tilt_sigma_rad: -39.99,
+        tilt_sigma_rad: 39.99,
         bursts_failed: u16::MAX,
+        times_missed: u16::MAX,
+        times_refused: u16::MAX,
         reception_errors: u32::MAX,
         frames_dropped: u32::MAX,
     };
