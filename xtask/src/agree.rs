@@ -43,7 +43,8 @@ pub fn run(toolchain: &Toolchain, virtual_board: &Path, elf: &Path) -> Result<()
         setup::qemu()?;
         let elf = rigs::qemu(toolchain)?;
         let mut test = step::host_cargo("test");
-        test.args(["-p", "aplomb-rigs", "--test", "qemu", "--", "--nocapture"]);
+        test.args(["--release", "--workspace", "--test", "qemu"]);
+        test.args(["--", "--nocapture"]);
         test.env("APLOMB_QEMU_ELF", elf);
         step::run(test.env("APLOMB_BURSTS", bursts))
     })

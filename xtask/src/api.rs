@@ -18,9 +18,12 @@ const RUSTDOC: &str = "APLOMB_RUSTDOC";
 pub fn check(toolchain: &Toolchain, bless: bool) -> Result<(), String> {
     let mut host = step::command("cargo".as_ref());
     host.args(["rustdoc", "--ignore-rust-version"]);
-    let board = Board::default().features();
+    // The profiles of the tests and of the firmware, so that no dependency is built again.
+    host.arg("--release");
+    let mut target = toolchain.cargo("rustdoc");
+    target.args(["--profile", "firmware"]);
     describe(host, "mavlink,defmt")?;
-    describe(toolchain.cargo("rustdoc"), &board)?;
+    describe(target, &Board::default().features())?;
     let folder = step::target_folder();
     let described: Vec<PathBuf> = [folder.join("doc"), folder.join(TARGET).join("doc")]
         .iter()
@@ -28,9 +31,9 @@ pub fn check(toolchain: &Toolchain, bless: bool) -> Result<(), String> {
         .collect();
     let described = std::env::join_paths(described)
         .map_err(|error| format!("the target folder's name is no part of a list: {error}"))?;
-    let mut test = step::command("cargo".as_ref());
-    test.args(["test", "--ignore-rust-version", "-p", "aplomb"]);
-    test.args(["--features", "mavlink", "--test", "public_api"]);
+    // With the features of all tests: otherwise its dependencies would be built twice.
+    let mut test = step::host_cargo("test");
+    test.args(["--release", "--workspace", "--test", "public_api"]);
     test.args(["--", "--nocapture"]);
     test.env("APLOMB_RUSTDOC_JSON", described);
     if bless {

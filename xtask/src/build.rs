@@ -185,22 +185,25 @@ impl Firmware {
 /// Builds the virtual board's program.
 pub fn virtual_board() -> Result<PathBuf, String> {
     step::timed("building the virtual board", || {
-        host_program("virtual-board", "virtual-board")
+        host_program("virtual-board")
     })
 }
 
 /// Builds the program `aplomb`.
 pub fn program() -> Result<PathBuf, String> {
-    host_program("aplomb-cli", "aplomb")
+    host_program("aplomb")
 }
 
 /// Builds the program `aplomb-bench`.
 pub fn bench() -> Result<PathBuf, String> {
-    host_program("aplomb-bench", "aplomb-bench")
+    host_program("aplomb-bench")
 }
 
-fn host_program(package: &str, program: &str) -> Result<PathBuf, String> {
-    step::run(step::host_cargo("build").args(["--release", "-p", package]))?;
+/// Builds a program with the features that the tests of the workspace give its dependencies:
+/// otherwise these would be built twice.
+fn host_program(program: &str) -> Result<PathBuf, String> {
+    let mut build = step::host_cargo("build");
+    step::run(build.args(["--release", "--workspace", "--bin", program]))?;
     Ok(target_folder().join("release").join(program))
 }
 

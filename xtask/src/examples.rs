@@ -2,6 +2,7 @@
 //! for the computer runs.
 
 use std::path::PathBuf;
+use std::process::Command;
 
 use crate::build::Board;
 use crate::setup::{TARGET, Toolchain};
@@ -48,8 +49,7 @@ pub fn check_format() -> Result<(), String> {
 
 /// Runs the one for the computer and checks its output.
 pub fn run_on_host() -> Result<(), String> {
-    let mut cargo = step::host_cargo("run");
-    cargo.args(["--quiet", "--example", "host"]);
+    let mut cargo = host();
     let output = step::output(&mut cargo).ok_or("the example `host` failed")?;
     if !output.contains(HOST_LINE) {
         return Err(format!(
@@ -57,14 +57,8 @@ pub fn run_on_host() -> Result<(), String> {
         ));
     }
     // A log of the project has the sensor's Z axis up.
-    let mut cargo = step::host_cargo("run");
-    cargo.args([
-        "--quiet",
-        "--example",
-        "host",
-        "--",
-        "cli/tests/data/roll.csv",
-    ]);
+    let mut cargo = host();
+    cargo.args(["--", "cli/tests/data/roll.csv"]);
     let output = step::output(&mut cargo).ok_or("the example `host` failed on a log")?;
     if output.contains(LEVEL_LINE) {
         return Ok(());
@@ -72,4 +66,10 @@ pub fn run_on_host() -> Result<(), String> {
     Err(format!(
         "the example `host` does not begin with `{LEVEL_LINE}` on a log:\n{output}"
     ))
+}
+
+fn host() -> Command {
+    let mut cargo = step::host_cargo("run");
+    cargo.args(["--quiet", "--release", "--example", "host"]);
+    cargo
 }

@@ -26,7 +26,7 @@ pub fn run() -> Result<(), String> {
     step::timed("figures of the firmware", || {
         results::hold(&virtual_board, &images, &minimal, kalman_flash_bytes)
     })?;
-    test_virtual_board(&images, &minimal, &examples)?;
+    test_on_host(&images, &minimal, &examples)?;
     step::timed("random flights with random faults", || {
         faults::fly_default(&virtual_board, &images[0].1)
     })?;
@@ -38,7 +38,7 @@ pub fn run() -> Result<(), String> {
     Ok(())
 }
 
-/// Checks format, lints, tests, documentation, package and dependencies on this computer.
+/// Checks format, lints, documentation, package and dependencies on this computer.
 fn check_on_host() -> Result<(), String> {
     step::timed("formatting", || {
         component("rustfmt", "fmt")?;
@@ -52,18 +52,10 @@ fn check_on_host() -> Result<(), String> {
         clippy.args(["--release", "--workspace", "--all-targets"]);
         step::run(clippy.args(["--", "-D", "warnings"]))
     })?;
-    step::timed("host tests", || {
-        let mut test = step::host_cargo("test");
-        test.args(["--release", "--workspace", "--features", "aplomb/mavlink"]);
-        // The test needs the firmware, and runs later.
-        step::run(test.args(["--exclude", "virtual-board"]))?;
-        examples::run_on_host()
-    })?;
     step::timed("documentation", || {
         let mut doc = step::host_cargo("doc");
         doc.env("RUSTDOCFLAGS", "-D warnings");
-        doc.args(["--release", "--no-deps", "--lib"]);
-        step::run(doc.args(["-p", "aplomb", "-p", "aplomb-models", "-p", "virtual-board"]))
+        step::run(doc.args(["--release", "--no-deps", "--lib", "--workspace"]))
     })?;
     step::timed("the package", package::check)?;
     step::timed("licences and sources of dependencies", check_dependencies)
@@ -146,18 +138,15 @@ fn build_minimal(toolchain: &Toolchain) -> Result<PathBuf, String> {
     Ok(elf)
 }
 
-/// Runs the virtual board's tests on these images and examples.
-fn test_virtual_board(
+/// Runs all tests of the workspace; the virtual board's with these images and examples.
+fn test_on_host(
     images: &[(Board, PathBuf)],
     minimal: &Path,
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
-    step::timed("virtual board tests", || {
-        // One of them walks through a bring-up with the program.
-        let mut program = step::host_cargo("build");
-        step::run(program.args(["--release", "-p", "aplomb-cli"]))?;
+    step::timed("tests", || {
         let mut test = step::host_cargo("test");
-        test.args(["--release", "-p", "virtual-board"]);
+        test.args(["--release", "--workspace"]);
         for (board, elf) in images {
             let name = board.name.to_uppercase().replace('-', "_");
             test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
@@ -168,7 +157,8 @@ fn test_virtual_board(
             test.env(format!("APLOMB_EXAMPLE_{name}"), elf);
         }
         step::run(&mut test)
-    })
+    })?;
+    step::timed("the example for this computer", examples::run_on_host)
 }
 
 /// Runs cargo-deny where it is installed: to build it takes five minutes of CPU.

@@ -262,8 +262,8 @@ fn median_and_mean(sorted: &[f64]) -> String {
 /// Runs the test that calibrates two hundred chips, and keeps the lines that it prints.
 fn calibration(data: &mut Data) -> Result<(), String> {
     let mut command = step::host_cargo("test");
-    command.args(["--release", "-p", "aplomb-models", "--test"]);
-    command.args(["calibration", "two_hundred", "--", "--nocapture"]);
+    command.args(["--release", "--workspace", "--test", "calibration"]);
+    command.args(["two_hundred", "--", "--nocapture"]);
     let text = step::timed("measuring: calibration", || {
         step::output(&mut command).ok_or_else(|| {
             "the test failed: `cargo test -p aplomb-models --test calibration` shows why".to_owned()
