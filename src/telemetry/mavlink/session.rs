@@ -49,7 +49,7 @@ pub struct Session {
     measured_us: u64,
     /// Healthy sensors in the last SYS_STATUS.
     reported: MavSysStatusSensor,
-    /// Sensors that were not healthy since then, if only for one attitude.
+    /// Those of them that have not been healthy since, if only for one attitude.
     unhealthy: MavSysStatusSensor,
     /// Field in the last HIGHRES_IMU.
     sent_field: Option<MagneticField>,
@@ -272,8 +272,9 @@ impl Session {
     fn report_health(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
         let all = vehicle.sensors();
         let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
-        self.unhealthy |= all - health(flags, all);
-        let healthy = all - self.unhealthy;
+        let present = health(flags, all);
+        self.unhealthy |= self.reported - present;
+        let healthy = present - self.unhealthy;
         let due_us = if healthy == self.reported {
             self.next_status_us
         } else {
