@@ -1,5 +1,6 @@
 //! `aplomb convert`: flight logs, bursts and recordings into each other, burst by burst.
 
+mod replay_hint;
 mod writers;
 
 use std::collections::VecDeque;
@@ -7,7 +8,6 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
-use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
@@ -25,6 +25,7 @@ use aplomb_recordings::units::RowOptions;
 use crate::arming::{LoggedArming, bursts_arm};
 use crate::progress;
 
+use replay_hint::{Readings, Replayed};
 use writers::{Target, write_bursts, write_csv, write_log};
 
 /// Convert a recording into another form.
@@ -35,8 +36,9 @@ use writers::{Target, write_bursts, write_csv, write_log};
 /// with mx,my,mz in µT if a flight log has readings of a compass; they are corrected. All three
 /// forms keep the armed state. A recording in SI units becomes counts at 16 g and 2000 degrees per
 /// second, rounded; its truth is left out. Bursts and CSV recordings have no place for a flight
-/// log's mount and calibration, and bursts none for its ranges: the output names the options to
-/// replay them with.
+/// log's mount and calibration, and bursts none for its ranges: `convert` prints the options to
+/// replay them with. The values are the sensor's own, without the flight's calibration. A CSV made
+/// of them says so in its first line, `# --accelerometer factory`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
@@ -159,34 +161,18 @@ struct Written {
     clipped_values: usize,
     /// A burst has flags, or samples before it are missing.
     has_flags: bool,
-    readings: usize,
-    /// Knowledge of the last reading.
-    knowledge: CompassKnowledge,
-    /// Ages of the readings against the samples' motion, µs.
-    ages_us: Vec<u32>,
+    readings: Readings,
 }
 
 impl Written {
-    fn count(&mut self, recorded: &Recorded, delay_us: u32) {
-        if let Some(reading) = &recorded.reading {
-            self.readings += 1;
-            self.knowledge = reading.knowledge;
-            let motion_us = (reading.sample_t_us as u32).wrapping_sub(delay_us);
-            let age_us = motion_us.wrapping_sub(reading.measured_us) as i32;
-            self.ages_us.push(age_us.max(0).unsigned_abs());
+    fn count(&mut self, recorded: &Recorded, replayed: Option<&Replayed>) {
+        if let (Some(reading), Some(replayed)) = (&recorded.reading, replayed) {
+            self.readings.add(reading, replayed);
         }
         self.bursts += 1;
         self.clipped_values += recorded.clipped_values;
         let row = &recorded.row;
         self.has_flags |= row.burst.missed_before > 0 || !row.board.is_empty();
-    }
-
-    /// Returns the options of `replay` for the compass.
-    fn compass_options(&mut self) -> String {
-        let middle = self.ages_us.len() / 2;
-        let age_us = *self.ages_us.select_nth_unstable(middle).1;
-        let knowledge = self.knowledge.name();
-        format!(" --compass {knowledge} --compass-delay-us {age_us}")
     }
 }
 
@@ -200,9 +186,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         )
     })?;
     let mut found = open(options, into)?;
+    let flown = found.replayed.as_ref().and_then(Replayed::mount);
     let settings = Settings {
         sensor: found.config,
-        mount: options.mount.or(found.mount).unwrap_or(Mount::Z_UP),
+        mount: options.mount.or(flown).unwrap_or(Mount::Z_UP),
         ..Settings::new(found.part)
     };
     let has_compass = found.has_readings;
@@ -210,6 +197,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         settings,
         has_compass,
         has_armed: found.has_armed,
+        knowledge: found.replayed.as_ref().map(Replayed::knowledge),
     };
     let write = match into {
         Kind::FlightLog => write_log,
@@ -220,7 +208,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let (mut written, mut failure) = (Written::default(), None);
     let mut bursts = found.bursts.by_ref().map_while(|recorded| match recorded {
         Ok(recorded) => {
-            written.count(&recorded, found.delay_us);
+            written.count(&recorded, found.replayed.as_ref());
             Some(recorded)
         }
         Err(error) => {
@@ -243,7 +231,7 @@ fn report(
     found: &Input,
     written: &mut Written,
 ) -> Result<(), Box<dyn Error>> {
-    let writes_readings = into == Kind::Csv && written.readings > 0;
+    let writes_readings = into == Kind::Csv && written.readings.count > 0;
     let left_out = found.left_out(into, written.has_flags);
     let summary = Summary {
         input: options.input.display().to_string(),
@@ -254,7 +242,7 @@ fn report(
         clipped_values: written.clipped_values,
         left_out,
         armed_unknown: found.is_armed_unknown,
-        readings: writes_readings.then_some(written.readings),
+        readings: writes_readings.then_some(written.readings.count),
     };
     if options.json {
         print_line(&serde_json::to_string(&summary)?);
@@ -287,21 +275,10 @@ fn report(
             summary.output
         ));
     }
-    if let Some(mount) = found.mount {
-        let mut replay_with = format!("--mount {}", mount.name());
-        if into == Kind::Bursts {
-            let sensor = &found.config;
-            replay_with += &format!(
-                " --accel-range {} --gyro-range {}",
-                sensor.accelerometer_range, sensor.gyroscope_range
-            );
+    if let Some(replayed) = &found.replayed {
+        for line in replayed.lines(into, &mut written.readings) {
+            print_line(&line);
         }
-        if writes_readings {
-            replay_with += &written.compass_options();
-        }
-        print_line(&format!(
-            "replay it with {replay_with}; the flight's calibration is not in it"
-        ));
     }
     Ok(())
 }
@@ -325,8 +302,8 @@ struct Summary {
 /// Recording whose bursts are still to be read.
 struct Input {
     config: Config,
-    /// Mount of the sensor, if it is known.
-    mount: Option<Mount>,
+    /// Settings for a replay of its bursts; `None` of a recording in SI units.
+    replayed: Option<Replayed>,
     part: &'static Part,
     bursts: Bursts,
     bursts_lost: u64,
@@ -339,8 +316,6 @@ struct Input {
     has_armed: bool,
     /// The recording is a flight log whose armed state cannot be read.
     is_armed_unknown: bool,
-    /// Delay of the sensor, µs, if the recording is a flight log.
-    delay_us: u32,
     /// The recording has no temperature: 25 °C stands for it.
     is_csv: bool,
 }
@@ -369,7 +344,7 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     let form = Form::read(&mut lines)?;
     let table = |has_armed: bool, (divider, bursts): (u8, Bursts)| Input {
         config: Config::DEFAULT.with_sample_rate_divider(divider),
-        mount: None,
+        replayed: None,
         part: &Part::MPU_6050,
         bursts,
         bursts_lost: 0,
@@ -378,16 +353,19 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
         has_readings: false,
         has_armed,
         is_armed_unknown: false,
-        delay_us: 0,
         is_csv: false,
     };
     match form {
         Form::Bursts => {
             Kind::Bursts.check(options, into)?;
+            let replayed = Replayed::of_bursts(lines.accelerometer());
             let next = move || next_burst(&mut lines).transpose();
             let bursts = std::iter::from_fn(next);
             let has_armed = into == Kind::Csv && bursts_arm(path);
-            Ok(table(has_armed, with_divider(bursts, divider_of_bursts)))
+            Ok(Input {
+                replayed: Some(replayed),
+                ..table(has_armed, with_divider(bursts, divider_of_bursts))
+            })
         }
         Form::Log(columns) => {
             Kind::Csv.check(options, into)?;
@@ -443,10 +421,9 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
     };
     let steps = log.steps(flight)?;
     let Settings { part, sensor, .. } = first.settings;
-    let part_us = part.gyroscope_delay_us(sensor.low_pass).into();
     Ok(Input {
         config: sensor,
-        mount: Some(first.settings.mount()),
+        replayed: Some(Replayed::of_flight(first.settings)),
         part,
         bursts: Box::new(steps.map(move |step| {
             let number = step.numbered.number;
@@ -466,7 +443,6 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
         has_readings: flight.readings > 0,
         has_armed,
         is_armed_unknown,
-        delay_us: first.settings.sensor_delay_us.unwrap_or(part_us),
         is_csv: false,
     })
 }

@@ -147,7 +147,7 @@ impl Options {
 }
 
 /// Returns the name that the option `--accelerometer` takes.
-const fn name_of(knowledge: AccelerometerKnowledge) -> &'static str {
+pub const fn name_of(knowledge: AccelerometerKnowledge) -> &'static str {
     match knowledge {
         AccelerometerKnowledge::Factory => "factory",
         AccelerometerKnowledge::SixPoses => "six-poses",

@@ -156,8 +156,9 @@ fn the_armed_state_goes_through_every_form() {
     assert!(std::fs::read(&from_log).unwrap() == std::fs::read(&bursts).unwrap());
     for (input, name) in [(&bursts, "again.csv"), (&log, "from-log.csv")] {
         let text = std::fs::read_to_string(convert(input, name)).unwrap();
-        assert!(text.starts_with("t_us,ax,ay,az,gx,gy,gz,armed\n"), "{name}");
-        for (index, line) in text.lines().skip(1).enumerate() {
+        let header = "# --accelerometer factory\nt_us,ax,ay,az,gx,gy,gz,armed\n";
+        assert!(text.starts_with(header), "{name}");
+        for (index, line) in text.lines().skip(2).enumerate() {
             let cell = if ARMED.contains(&index) { ",1" } else { ",0" };
             assert!(line.ends_with(cell), "{name}: {index}: {line}");
         }
@@ -167,7 +168,7 @@ fn the_armed_state_goes_through_every_form() {
         "p-bursts.csv",
     );
     let text = std::fs::read_to_string(convert(&unarmed, "unarmed.csv")).unwrap();
-    assert!(text.starts_with("t_us,ax,ay,az,gx,gy,gz\n"));
+    assert!(text.starts_with("# --accelerometer factory\nt_us,ax,ay,az,gx,gy,gz\n"));
 }
 
 #[test]

@@ -100,15 +100,17 @@ fn a_flight_log_with_a_compass_replays_its_heading_and_becomes_a_log_with_its_fi
     assert!((heading_deg - expected_deg).abs() < 0.1, "{heading_deg}");
 
     let printed = run(&["convert", &log, &csv]);
-    let options = "--mount -y-z --compass calibrated --compass-delay-us 8100";
+    let options = "--mount -y-z --sensor-delay-us 1900 --accelerometer factory \
+                   --compass calibrated --compass-delay-us 8100 --declination 0";
     assert!(
-        printed.contains(&format!("replay it with {options};")),
+        printed.contains(&format!("replay it with {options}\n")),
         "{printed}"
     );
     let table = read(&csv);
-    assert!(table.starts_with("t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n"));
+    let header = "# --accelerometer factory\nt_us,ax,ay,az,gx,gy,gz,mx,my,mz\n";
+    assert!(table.starts_with(header));
     let (with, without): (Vec<&str>, Vec<&str>) =
-        table.lines().skip(1).partition(|row| !row.ends_with(",,,"));
+        table.lines().skip(2).partition(|row| !row.ends_with(",,,"));
     assert_eq!((with.len(), without.len()), (150, 2_850));
     // Forward is the sensor's −y, right its −x, down its −z.
     assert!(
@@ -360,8 +362,12 @@ fn what_a_flight_log_says_and_a_table_does_not_is_told() {
         "16",
         "--gyro-range",
         "2000",
+        "--sensor-delay-us",
+        "1900",
+        "--accelerometer",
+        "factory",
     ];
-    let told = format!("replay it with {};", options.join(" "));
+    let told = format!("replay it with {}\n", options.join(" "));
     assert!(printed.contains(&told), "{printed}");
     let (of_log, of_bursts) = (named("settings", "1.csv"), named("settings", "2.csv"));
     run(&["replay", &log, "--output", &of_log]);
@@ -371,7 +377,7 @@ fn what_a_flight_log_says_and_a_table_does_not_is_told() {
     assert_eq!(read(&of_log), read(&of_bursts));
     let printed = run(&["convert", &log, &csv]);
     assert!(
-        printed.contains("replay it with --mount +x+z;"),
+        printed.contains("replay it with --mount +x+z --sensor-delay-us 1900 --accel"),
         "{printed}"
     );
     for (option, reason) in [
@@ -420,7 +426,7 @@ fn of_several_flights_one_is_chosen() {
     for (flight, rows) in [("1", 1_000), ("2", 2_000)] {
         run(&["convert", &both, name, "--flight", flight]);
         let text = std::fs::read_to_string(&output).unwrap();
-        assert_eq!(text.lines().count(), 1 + rows);
+        assert_eq!(text.lines().count(), 2 + rows);
         let json = run(&["replay", &both, "--json", "--flight", flight]);
         let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
         assert_eq!(summary["samples"], rows);

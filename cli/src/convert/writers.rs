@@ -7,6 +7,7 @@ use aplomb::mpu6050::RawSample;
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::Recorder;
+use aplomb_recordings::log::ACCELEROMETER_COMMENT;
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 
@@ -19,6 +20,8 @@ pub(super) struct Target {
     pub(super) has_compass: bool,
     /// The armed state is written too.
     pub(super) has_armed: bool,
+    /// Knowledge of accelerometer and gyroscope, if it is known.
+    pub(super) knowledge: Option<&'static str>,
 }
 
 /// Latest time in a flight log, µs: its bursts have 48 bits, which are almost nine years.
@@ -64,6 +67,9 @@ pub(super) fn write_csv(
     let (settings, has_compass) = (&target.settings, target.has_compass);
     let field_columns = if has_compass { ",mx,my,mz" } else { "" };
     let armed_column = if target.has_armed { ",armed" } else { "" };
+    if let Some(knowledge) = target.knowledge {
+        writeln!(file, "{ACCELEROMETER_COMMENT}{knowledge}")?;
+    }
     writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}{armed_column}")?;
     let mut line = Vec::new();
     for Recorded { row, reading, .. } in bursts {

@@ -28,6 +28,7 @@ pub struct Recorder<W> {
     /// Time and number of the last change of the heading.
     changed: Option<(u64, u8)>,
     readings: u32,
+    declination_rad: f32,
 }
 
 impl<W: Write> Recorder<W> {
@@ -43,6 +44,7 @@ impl<W: Write> Recorder<W> {
             heading: None,
             changed: None,
             readings: 0,
+            declination_rad: 0.0,
         }
     }
 
@@ -54,6 +56,11 @@ impl<W: Write> Recorder<W> {
             self.pipeline.set_armed(is_armed);
             self.sender.restart(self.number);
         }
+    }
+
+    /// Sets the declination, rad, east positive, from the next reading on.
+    pub fn set_declination(&mut self, declination_rad: f32) {
+        self.declination_rad = declination_rad;
     }
 
     /// Adds a burst with the conditions that the board reported, and returns the attitude at its
@@ -123,12 +130,15 @@ impl<W: Write> Recorder<W> {
             measured_us,
             field,
             knowledge,
-            declination_rad: 0.0,
+            declination_rad: self.declination_rad,
             starts_filter: self.heading.is_none(),
         });
         self.readings += 1;
         let age_us = self.pipeline.reading_age_us(measured_us);
         let heading = self.heading.get_or_insert_with(|| Heading::new(knowledge));
+        if heading.declination_rad() != self.declination_rad {
+            heading.set_declination(self.declination_rad);
+        }
         heading.add_field(field, age_us);
         let mut buffer = [0; 8 * FRAME_CAPACITY];
         let mut output = Output::new(&mut buffer);
