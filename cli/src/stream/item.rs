@@ -63,6 +63,22 @@ pub struct Sensors {
     pub accelerometer: bool,
     /// The attitude is healthy.
     pub attitude: bool,
+    /// The compass is healthy, or there is none.
+    pub compass: bool,
+}
+
+impl Sensors {
+    /// Returns the names of those that are not healthy.
+    pub fn unhealthy(&self) -> Vec<&'static str> {
+        let names = [
+            (self.gyroscope, "GYROSCOPE"),
+            (self.accelerometer, "ACCELEROMETER"),
+            (self.attitude, "ATTITUDE"),
+            (self.compass, "COMPASS"),
+        ];
+        let unhealthy = names.iter().filter(|(is_healthy, _)| !is_healthy);
+        unhealthy.map(|(_, name)| *name).collect()
+    }
 }
 
 /// Decoded piece of a stream.

@@ -88,6 +88,9 @@ impl Mavlink {
                     gyroscope: is_healthy(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_GYRO),
                     accelerometer: is_healthy(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL),
                     attitude: is_healthy(MavSysStatusSensor::MAV_SYS_STATUS_AHRS),
+                    compass: is_healthy(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG)
+                        || !(status.onboard_control_sensors_present)
+                            .contains(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG),
                 }));
             }
             MavMessage::STATUSTEXT(_) => self.text(payload, items),

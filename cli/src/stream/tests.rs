@@ -149,10 +149,14 @@ fn sigma_of(items: &[Item]) -> Option<f32> {
 }
 
 fn mavlink(session: &mut Session, says: Option<&str>) -> Vec<u8> {
+    mavlink_of(session, &snapshot(), says)
+}
+
+fn mavlink_of(session: &mut Session, snapshot: &Snapshot, says: Option<&str>) -> Vec<u8> {
     let mut buffer = [0; 2000];
     let mut output = Output::new(&mut buffer);
     let vehicle = Vehicle {
-        snapshot: Some(&snapshot()),
+        snapshot: Some(snapshot),
         sample: &Sample::default(),
         temperature_celsius: 31.5,
         heading: None,
@@ -468,4 +472,24 @@ fn the_heading_of_a_log_comes_with_each_attitude_until_it_is_unknown() {
     let items = decode(&mut decoder, &bytes(None));
     assert_eq!((attitudes(&items).len(), headings(&items).len()), (2, 0));
     assert_eq!(decoder.counts().damaged, 0);
+}
+
+#[test]
+fn mavlink_brings_the_health_of_each_sensor_and_an_absent_compass_is_healthy() {
+    let sensors = |flags: Flags| {
+        let snapshot = Snapshot {
+            flags,
+            ..snapshot()
+        };
+        let bytes = mavlink_of(&mut Session::new(), &snapshot, None);
+        let items = decode(&mut Decoder::default(), &bytes);
+        let found = items.iter().find_map(|item| match item {
+            Item::Sensors(sensors) => Some(*sensors),
+            _ => None,
+        });
+        found.expect("SYS_STATUS")
+    };
+    assert_eq!(sensors(Flags::VALID).unhealthy(), [""; 0]);
+    let clipped = sensors(Flags::VALID | Flags::ACCELEROMETER_SATURATED);
+    assert_eq!(clipped.unhealthy(), ["ACCELEROMETER"]);
 }

@@ -73,6 +73,8 @@ pub enum Trust {
     Valid,
     /// The module reports healthy sensors, without flags.
     Healthy,
+    /// The attitude is healthy, but the sensors of these names are not.
+    Unhealthy(Vec<&'static str>),
     /// Not valid, with the names of flags or sensors.
     NotValid(Vec<&'static str>),
     /// The format has no health.
@@ -240,16 +242,14 @@ impl Model {
         match (attitude.flags, self.sensors) {
             (Some(flags), _) if flags.contains(Flags::VALID) => Trust::Valid,
             (Some(_), _) => Trust::NotValid(self.flag_names()),
-            (None, Some(sensors)) if !(sensors.attitude && sensors.gyroscope) => {
-                let names = [
-                    (sensors.gyroscope, "GYROSCOPE"),
-                    (sensors.accelerometer, "ACCELEROMETER"),
-                    (sensors.attitude, "ATTITUDE"),
-                ];
-                let unhealthy = names.iter().filter(|(is_healthy, _)| !is_healthy);
-                Trust::NotValid(unhealthy.map(|(_, name)| *name).collect())
+            (None, Some(sensors)) => {
+                let names = sensors.unhealthy();
+                match sensors.attitude && sensors.gyroscope {
+                    _ if names.is_empty() => Trust::Healthy,
+                    true => Trust::Unhealthy(names),
+                    false => Trust::NotValid(names),
+                }
             }
-            (None, Some(_)) => Trust::Healthy,
             (None, None) => Trust::Unknown,
         }
     }
@@ -344,15 +344,27 @@ mod tests {
             gyroscope: true,
             accelerometer: true,
             attitude: true,
+            compass: true,
         };
         model.sensors = Some(healthy);
         assert_eq!(model.trust(), Trust::Healthy);
         model.sensors = Some(Sensors {
-            gyroscope: true,
-            accelerometer: true,
             attitude: false,
+            ..healthy
         });
         assert_eq!(model.trust(), Trust::NotValid(vec!["ATTITUDE"]));
+        model.sensors = Some(Sensors {
+            accelerometer: false,
+            compass: false,
+            ..healthy
+        });
+        let names = vec!["ACCELEROMETER", "COMPASS"];
+        assert_eq!(model.trust(), Trust::Unhealthy(names));
+        model.sensors = Some(Sensors {
+            gyroscope: false,
+            ..healthy
+        });
+        assert_eq!(model.trust(), Trust::NotValid(vec!["GYROSCOPE"]));
     }
 
     #[test]

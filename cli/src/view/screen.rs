@@ -209,6 +209,7 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     let (text, colour) = match model.trust() {
         Trust::Valid => ("VALID".to_owned(), GOOD),
         Trust::Healthy => ("SENSORS HEALTHY".to_owned(), GOOD),
+        Trust::Unhealthy(_) => ("SENSOR UNHEALTHY".to_owned(), CAUTION),
         Trust::NotValid(_) => ("NOT VALID".to_owned(), BAD),
         Trust::Unknown => ("health is not in this format".to_owned(), NEUTRAL),
         Trust::NoData(None) => ("NO ATTITUDE YET".to_owned(), CAUTION),
@@ -229,7 +230,7 @@ fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     put(buffer, banner, x, tall / 2, &text, style);
     // Names of flags, as many to a row as fit; two rows at least.
     let names = match model.trust() {
-        Trust::NotValid(names) => names,
+        Trust::NotValid(names) | Trust::Unhealthy(names) => names,
         _ => model.flag_names(),
     };
     let last_row = area.height - 3;

@@ -15,7 +15,7 @@ use super::live::next_baud;
 use super::model::{Connection, Model, Speaker};
 use super::player::changed_speed;
 use super::{horizon, parse_speed, screen};
-use crate::stream::{Attitude, Counts, Format, Item};
+use crate::stream::{Attitude, Counts, Format, Item, Sensors};
 
 fn drawn(model: &Model, width: u16, height: u16) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).expect("it takes everything");
@@ -148,6 +148,42 @@ fn an_attitude_that_is_not_valid_says_so_with_the_reasons() {
     model.add_message(24.1, Speaker::Module, error.into());
     assert_golden("view-not-valid-80x24.txt", &drawn(&model, 80, 24));
     assert_golden("view-not-valid-120x40.txt", &drawn(&model, 120, 40));
+}
+
+#[test]
+fn a_sensor_that_mavlink_reports_as_unhealthy_is_named() {
+    let mut model = swinging(Flags::VALID);
+    for index in 0..10 {
+        let attitude = Attitude {
+            roll_deg: index as f32,
+            ..Attitude::default()
+        };
+        model.take(25.0, Item::Attitude(attitude));
+    }
+    let healthy = Sensors {
+        gyroscope: true,
+        accelerometer: true,
+        attitude: true,
+        compass: true,
+    };
+    let accelerometer = false;
+    for (sensors, banner, name) in [
+        (healthy, "SENSORS HEALTHY", ""),
+        (
+            Sensors {
+                accelerometer,
+                ..healthy
+            },
+            "SENSOR UNHEALTHY",
+            "ACCELEROMETER",
+        ),
+    ] {
+        model.take(25.0, Item::Sensors(sensors));
+        for (width, height) in [(80, 24), (120, 40)] {
+            let text = text(&drawn(&model, width, height));
+            assert!(text.contains(banner) && text.contains(name), "{text}");
+        }
+    }
 }
 
 #[test]
