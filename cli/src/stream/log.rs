@@ -10,7 +10,7 @@ use aplomb::serialize::StateReader;
 use aplomb::telemetry::heading;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::units::degrees;
-use aplomb_recordings::flight_log::StateCollector;
+use aplomb_recordings::flight_log::{StateCollector, TextJoiner};
 
 use super::item::{Attitude, Counts, Item};
 
@@ -27,14 +27,10 @@ pub struct Log {
     recent: VecDeque<NumberedBurst>,
     heading: Option<HeadingEstimate>,
     collector: StateCollector,
-    /// Pieces of a message whose last piece was full, so that another may follow.
-    text: String,
+    joiner: TextJoiner,
 }
 
 impl Log {
-    /// Fewest bytes of a full piece of a message: it ends with a whole character.
-    const FULL_PIECE: usize = log::TEXT_CAPACITY - 3;
-
     /// Takes a byte, and returns whether it completes a frame.
     pub fn push(&mut self, byte: u8, counts: &mut Counts, items: &mut Vec<Item>) -> bool {
         match self.decoder.push(byte) {
@@ -53,11 +49,11 @@ impl Log {
     }
 
     fn frame(&mut self, frame: Frame, counts: &mut Counts, items: &mut Vec<Item>) {
-        // The pieces of a message come without other frames between.
-        let is_text = matches!(frame, Frame::Text(_));
-        if !is_text && !self.text.is_empty() {
-            items.push(Item::Message(std::mem::take(&mut self.text)));
-        }
+        let message = match &frame {
+            Frame::Text(piece) => self.joiner.add(piece),
+            _ => self.joiner.end(),
+        };
+        items.extend(message.map(Item::Message));
         match frame {
             Frame::Configuration(configuration) => {
                 self.part = Some(configuration.settings.part);
@@ -89,12 +85,6 @@ impl Log {
                 }
             }
             Frame::Heading(heading) => self.heading = heading.estimate,
-            Frame::Text(piece) => {
-                self.text += piece.as_str();
-                if piece.as_str().len() < Self::FULL_PIECE {
-                    items.push(Item::Message(std::mem::take(&mut self.text)));
-                }
-            }
             _ => {}
         }
     }

@@ -6,9 +6,11 @@
 
 mod recorder;
 mod steps;
+mod text_joiner;
 
 pub use recorder::Recorder;
 pub use steps::{Step, Steps};
+pub use text_joiner::TextJoiner;
 
 use std::fs::File;
 use std::io::Read;
@@ -112,12 +114,20 @@ impl FlightLog {
         let mut frames = Frames::new(bytes);
         let mut flights = Vec::new();
         let mut messages = Vec::new();
+        let mut joiner = TextJoiner::default();
         let mut flight = Flight::default();
         // Settings after the last burst belong to the next one, perhaps of another flight.
         let mut upcoming = None;
         // Readings of the compass likewise.
         let mut readings = Vec::new();
         for frame in frames.by_ref() {
+            let message = match &frame {
+                Frame::Text(piece) => joiner.add(piece),
+                _ => joiner.end(),
+            };
+            if messages.len() < MOST_MESSAGES {
+                messages.extend(message);
+            }
             match frame {
                 Frame::Burst(burst) => {
                     if flight.numbers.is_some_and(|(_, last)| burst.number <= last) {
@@ -138,12 +148,10 @@ impl FlightLog {
                 Frame::Configuration(configuration) => {
                     upcoming.get_or_insert(configuration);
                 }
-                Frame::Text(text) if messages.len() < MOST_MESSAGES => {
-                    messages.push(text.as_str().to_owned());
-                }
                 _ => {}
             }
         }
+        messages.extend(joiner.end());
         flight.take(upcoming);
         flight.count_readings(&mut readings);
         flights.push(flight);
