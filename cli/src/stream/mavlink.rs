@@ -15,8 +15,10 @@ pub struct Mavlink {
     bytes: Vec<u8>,
     /// Sequence number of the last frame.
     pub sequence: Option<u8>,
+    /// Pieces of a message, its number, and the number of its next piece.
     text: Vec<u8>,
     text_id: u16,
+    next_piece: u8,
     damaged: u64,
 }
 
@@ -99,7 +101,7 @@ impl Mavlink {
     }
 
     /// Takes a piece of a message: severity, 50 letters, number of the message, number of the
-    /// piece. Zeros at the end may be missing.
+    /// piece. Zeros at the end may be missing. An ellipsis stands for lost pieces.
     fn text(&mut self, payload: &[u8], items: &mut Vec<Item>) {
         const LETTERS: std::ops::Range<usize> = 1..51;
         let letters = payload
@@ -107,16 +109,31 @@ impl Mavlink {
             .unwrap_or_default();
         let at = |place: usize| payload.get(place).copied().unwrap_or_default();
         let id = u16::from_le_bytes([at(LETTERS.end), at(LETTERS.end + 1)]);
-        if id == 0 || id != self.text_id {
-            self.text.clear();
+        let piece = if id == 0 { 0 } else { at(LETTERS.end + 2) };
+        if id != self.text_id || piece < self.next_piece {
+            // The last pieces of the message before are lost.
+            if !self.text.is_empty() {
+                self.text.extend("…".as_bytes());
+                self.end_text(items);
+            }
+            self.next_piece = 0;
         }
-        self.text_id = id;
+        if piece != self.next_piece {
+            self.text.extend("…".as_bytes());
+        }
+        (self.text_id, self.next_piece) = (id, piece.saturating_add(1));
         let end = letters.iter().position(|letter| *letter == 0);
         self.text.extend(&letters[..end.unwrap_or(letters.len())]);
         let is_last = id == 0 || end.is_some() || letters.len() < LETTERS.len();
         if is_last {
-            let text = String::from_utf8_lossy(&std::mem::take(&mut self.text)).into_owned();
-            items.push(Item::Message(text));
+            self.end_text(items);
         }
+    }
+
+    /// Ends a message. The next piece begins another.
+    fn end_text(&mut self, items: &mut Vec<Item>) {
+        let text = String::from_utf8_lossy(&std::mem::take(&mut self.text)).into_owned();
+        items.push(Item::Message(text));
+        (self.text_id, self.next_piece) = (0, 0);
     }
 }

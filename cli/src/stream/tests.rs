@@ -299,6 +299,64 @@ fn a_long_message_comes_in_pieces() {
     assert_eq!(items.last(), Some(&Item::Message(text)));
 }
 
+/// Returns the messages of a stream of these frames of a long message and of a short one, "end".
+fn messages_of(pieces: &[usize]) -> Vec<String> {
+    let mut session = Session::new();
+    // The frames before the message.
+    let mut bytes = mavlink(&mut session, None);
+    let mut buffer = [0; 2000];
+    let mut output = Output::new(&mut buffer);
+    let text = ["a", "b", "c", "d"]
+        .map(|letter| letter.repeat(50))
+        .concat()
+        + "e";
+    assert!(session.send_text(Severity::Information, &text, &mut output));
+    let long = output.length();
+    assert!(session.send_text(Severity::Information, "end", &mut output));
+    let length = output.length();
+    let mut frames = Vec::new();
+    let mut rest = &buffer[..long];
+    while let [_, payload, ..] = rest {
+        let (frame, others) = rest.split_at(usize::from(*payload) + 12);
+        frames.push(frame);
+        rest = others;
+    }
+    assert_eq!(frames.len(), 5);
+    for piece in pieces {
+        bytes.extend_from_slice(frames[*piece]);
+    }
+    bytes.extend_from_slice(&buffer[long..length]);
+    let items = decode(&mut Decoder::default(), &bytes);
+    let message = |item: &Item| match item {
+        Item::Message(text) => Some(text.clone()),
+        _ => None,
+    };
+    items.iter().filter_map(message).collect()
+}
+
+#[test]
+fn a_lost_piece_of_a_message_shows_as_an_ellipsis() {
+    for (pieces, expected) in [
+        (&[0, 1, 2, 3, 4][..], Some("abcde")),
+        (&[0, 1, 3, 4], Some("ab…de")),
+        (&[0, 3, 4], Some("a…de")),
+        (&[1, 2, 3, 4], Some("…bcde")),
+        (&[0, 1, 2, 3], Some("abcd…")),
+        (&[4], Some("…e")),
+        (&[], None),
+    ] {
+        let mut messages = messages_of(pieces);
+        assert_eq!(messages.pop().as_deref(), Some("end"));
+        for message in &mut messages {
+            for letter in ["a", "b", "c", "d"] {
+                *message = message.replace(&letter.repeat(50), letter);
+            }
+        }
+        let expected: Vec<&str> = expected.into_iter().collect();
+        assert_eq!(messages, expected, "{pieces:?}");
+    }
+}
+
 #[test]
 fn a_half_line_at_the_start_is_no_damage_and_a_wrong_one_later_is() {
     let mut decoder = Decoder::default();
