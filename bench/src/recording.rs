@@ -109,6 +109,10 @@ impl Recording {
                 ..
             }) => return unusable("it is empty"),
             Err(LogError {
+                reason: LogFault::NoHeader,
+                ..
+            }) => return unusable("it has comments alone"),
+            Err(LogError {
                 reason: LogFault::NotText | LogFault::NoTable { .. },
                 ..
             }) => return unusable("it is no text"),

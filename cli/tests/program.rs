@@ -543,18 +543,23 @@ fn values_that_are_no_counts_are_refused_or_told() {
 #[test]
 fn a_flight_log_on_standard_input_is_told_what_to_do() {
     let log = flight_log("stdin", "flight.log", "1");
-    for command in [&["replay", "-"][..], &["plot", "-"], &["calibrate", "-"]] {
-        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
-            .args(command)
-            .stdin(std::fs::File::open(&log).unwrap())
-            .output()
-            .unwrap();
-        assert_eq!(result.status.code(), Some(1));
-        let message = String::from_utf8(result.stderr).unwrap();
-        assert!(
-            message.contains("A flight log has to be a file"),
-            "{command:?}: {message}"
-        );
+    let line = "roll:2.57\tpitch:-1.01\tyaw:-2.03\n";
+    let recorded = [line.repeat(40).into_bytes(), std::fs::read(&log).unwrap()].concat();
+    let recorded = file("stdin", "recorded.log", recorded);
+    for log in [log.as_ref(), recorded.as_path()] {
+        for command in [&["replay", "-"][..], &["plot", "-"], &["calibrate", "-"]] {
+            let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+                .args(command)
+                .stdin(std::fs::File::open(log).unwrap())
+                .output()
+                .unwrap();
+            assert_eq!(result.status.code(), Some(1));
+            let message = String::from_utf8(result.stderr).unwrap();
+            assert!(
+                message.contains("A flight log has to be a file, not standard input: give"),
+                "{command:?}: {message}"
+            );
+        }
     }
 }
 

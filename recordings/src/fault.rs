@@ -69,6 +69,9 @@ pub enum LogFault {
     /// The file has no contents.
     #[error("the file is empty")]
     Empty,
+    /// The file has comments alone.
+    #[error("there are comments in the file, but no header and no rows")]
+    NoHeader,
     /// The line has more bytes than any row.
     #[error("the line has more than {LONGEST_LINE} bytes: this is no table of a recording")]
     LineTooLong,
@@ -89,12 +92,11 @@ pub enum LogFault {
     NotText,
     /// The file is not a text with columns: perhaps a flight log.
     #[error(
-        "it is no table. {}: \
-         `replay` and `plot` take it, and `convert` makes a table of it",
+        "it is no table. {} `replay` and `plot` take it, and `convert` makes a table of it",
         if *is_stream {
-            "A flight log has to be a file, not standard input"
+            "A flight log has to be a file, not standard input: give the file's name."
         } else {
-            "Is it a flight log, of which there is too little"
+            "Is it a flight log, of which there is too little:"
         }
     )]
     NoTable {
@@ -252,6 +254,7 @@ impl LogFault {
             | Self::Read(_)
             | Self::Gzip(_)
             | Self::Empty
+            | Self::NoHeader
             | Self::OtherFormat(_)
             | Self::CarriageReturns
             | Self::NoTable { .. }

@@ -32,6 +32,11 @@ impl Form {
         if let Some(columns) = LogColumns::of(&header) {
             return Ok(Self::Log(columns));
         }
+        // A flight log that was recorded from the module's start begins with lines of text.
+        if lines.is_stream() && lines.are_followed_by_a_log() {
+            let fault = LogFault::NoTable { is_stream: true };
+            return Err(lines.refuse_file(fault).into());
+        }
         let fault = LogFault::Header(header);
         Err(format!("{}; or {} for bursts", lines.refuse(fault), bursts::HEADER).into())
     }
@@ -43,11 +48,15 @@ impl Form {
 ///
 /// # Errors
 ///
-/// Returns an error with the place if the file is empty, cannot be read, or is no table.
+/// Returns an error with the place if the file has no header, cannot be read, or is no table.
 pub fn header(lines: &mut Lines) -> Result<String, LogError> {
+    let mut has_comment = false;
     loop {
         match lines.next_line() {
-            Ok(Some(line)) if line.starts_with('#') => lines.take_comment()?,
+            Ok(Some(line)) if line.starts_with('#') => {
+                has_comment = true;
+                lines.take_comment()?;
+            }
             Ok(Some(header)) => {
                 let header = header.to_owned();
                 if LogColumns::of(&header).is_none()
@@ -58,6 +67,7 @@ pub fn header(lines: &mut Lines) -> Result<String, LogError> {
                 }
                 return Ok(header);
             }
+            Ok(None) if has_comment => return Err(lines.refuse_file(LogFault::NoHeader)),
             Ok(None) => return Err(lines.refuse_file(LogFault::Empty)),
             // A flight log has NUL bytes and others of no text.
             Err(error) if matches!(error.reason, LogFault::NotText | LogFault::Nuls(_)) => {

@@ -21,6 +21,8 @@ const MOST_NULS: usize = 1 << 30;
 pub const ACCELEROMETER_COMMENT: &str = "# --accelerometer ";
 /// Fewest numbers that show how many decimals the last cell of a line has.
 const FEWEST_NUMBERS: usize = 8;
+/// Most lines of text before a flight log, after which it is not searched on.
+const LINES_BEFORE_A_LOG: usize = 2_000;
 /// Bytes that are read and unpacked at once.
 const BUFFER_LENGTH: usize = 256 * 1024;
 
@@ -186,6 +188,18 @@ impl Lines {
     /// Returns whether the last line is that of a text, whatever its encoding.
     pub(crate) fn is_of_a_text(&self) -> bool {
         is_text(&self.line)
+    }
+
+    /// Reads on, and returns whether a flight log follows some lines of text.
+    pub(crate) fn are_followed_by_a_log(&mut self) -> bool {
+        for _ in 0..LINES_BEFORE_A_LOG {
+            match self.next_line() {
+                Ok(Some(_)) => {}
+                Ok(None) => return false,
+                Err(_) => return !self.is_of_a_text(),
+            }
+        }
+        false
     }
 
     /// Reads a line, without its end. Returns false at the end of the file.

@@ -288,9 +288,11 @@ mod tests {
         let (line, reason) = parse(stated).unwrap_err();
         assert_eq!(line, Some(1));
         assert!(reason.to_string().contains("\"fact\""), "{reason}");
-        for empty in ["", "\n", "# a comment\n\n"] {
+        for empty in ["", "\n"] {
             assert!(matches!(parse(empty), Err((None, LogFault::Empty))));
         }
+        let comment = parse("# a comment\n\n");
+        assert!(matches!(comment, Err((None, LogFault::NoHeader))));
         assert!(matches!(
             parse(format!("{HEADER}\n{GOOD}\n")),
             Err((None, LogFault::TooShort))

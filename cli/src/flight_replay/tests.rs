@@ -309,6 +309,25 @@ fn a_restart_of_the_module_is_another_flight() {
     }
 }
 
+#[test]
+fn a_time_that_goes_back_is_another_flight_whatever_the_numbers() {
+    let bursts = bursts(3);
+    let (mut bytes, flown) = fly(&bursts, 0);
+    let mut recorder = Recorder::new(Vec::new(), Pipeline::new(&settings()), 5_512);
+    for burst in &bursts {
+        recorder
+            .add(burst, BoardFlags::empty())
+            .expect("memory takes everything");
+    }
+    bytes.extend(recorder.into_inner());
+    let log = decode(&bytes).expect("few flights");
+    assert_eq!(log.flights.len(), 2);
+    for flight in &log.flights {
+        assert_eq!(flight.lost(), 0);
+        assert!(replayed(&log, flight).0 == flown);
+    }
+}
+
 /// Returns a second's log, damaged, with whole frames of any numbers between.
 fn nearly_a_log() -> impl Strategy<Value = Vec<u8>> {
     static LOG: LazyLock<Vec<u8>> = LazyLock::new(|| fly_with_compass(&bursts(2), 0).0);

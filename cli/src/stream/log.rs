@@ -10,7 +10,7 @@ use aplomb::serialize::StateReader;
 use aplomb::telemetry::heading;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use aplomb::units::degrees;
-use aplomb_recordings::flight_log::{StateCollector, TextJoiner};
+use aplomb_recordings::flight_log::{StateCollector, TextJoiner, is_new_start};
 
 use super::item::{Attitude, Counts, Item};
 
@@ -92,14 +92,12 @@ impl Log {
     fn burst(&mut self, burst: NumberedBurst, counts: &mut Counts) {
         counts.bursts += 1;
         if let Some(last) = self.recent.back() {
-            match burst.number.checked_sub(last.number) {
-                Some(step @ 1..) => counts.lost += u64::from(step - 1),
-                // The module has started again.
-                _ => {
-                    self.recent.clear();
-                    self.pipeline = None;
-                    self.heading = None;
-                }
+            if is_new_start((last.number, last.burst.captured_at_us), &burst) {
+                self.recent.clear();
+                self.pipeline = None;
+                self.heading = None;
+            } else {
+                counts.lost += u64::from(burst.number - last.number - 1);
             }
         }
         if self.recent.len() == BURSTS_KEPT {

@@ -59,6 +59,8 @@ pub struct Flight {
     pub bursts: u64,
     /// Numbers of the first and the last burst.
     numbers: Option<(u32, u32)>,
+    /// Number and time of the last burst, µs.
+    last: Option<(u32, u64)>,
     /// Number of readings of the compass.
     pub readings: u64,
     /// Readings that are missing between the first and the last.
@@ -130,7 +132,7 @@ impl FlightLog {
             }
             match frame {
                 Frame::Burst(burst) => {
-                    if flight.numbers.is_some_and(|(_, last)| burst.number <= last) {
+                    if flight.last.is_some_and(|last| is_new_start(last, &burst)) {
                         let index = flight.index + 1;
                         flights.push(std::mem::take(&mut flight));
                         flight.index = index;
@@ -187,6 +189,7 @@ impl Flight {
         self.bursts += 1;
         let first = self.numbers.map_or(burst.number, |(first, _)| first);
         self.numbers = Some((first, burst.number));
+        self.last = Some((burst.number, burst.burst.captured_at_us));
     }
 
     /// Counts readings of the compass, and removes them.
@@ -199,6 +202,18 @@ impl Flight {
             self.last_reading = Some(number);
         }
     }
+}
+
+/// Time by which a burst is before the last one if the module has started again, µs. Within a
+/// flight no burst is.
+const BACK_US: u64 = 100_000;
+
+/// Returns whether the module has started again before a burst, after the last one of this number
+/// and time (µs): the number or the time goes back.
+#[must_use]
+pub fn is_new_start(last: (u32, u64), burst: &NumberedBurst) -> bool {
+    let (number, t_us) = last;
+    burst.number <= number || burst.burst.captured_at_us.saturating_add(BACK_US) < t_us
 }
 
 /// Returns whether a file is a flight log, which has zero bytes and others of no text. A text may

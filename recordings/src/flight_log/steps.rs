@@ -6,7 +6,7 @@ use std::io::{self, Read};
 use aplomb::pipeline::{CompassReading, Snapshot};
 use aplomb::telemetry::log::{Configuration, Counts, Decoder, Frame, NumberedBurst, TimedHeading};
 
-use super::StateCollector;
+use super::{StateCollector, is_new_start};
 
 /// Bursts that are read ahead. A state is sent anew after 10 s, or 10,000 bursts.
 const BURSTS_AHEAD: usize = 20_000;
@@ -113,8 +113,8 @@ pub struct Steps {
     /// Place of the flight whose frames come now, and of the one that is asked for.
     present: usize,
     wanted: usize,
-    /// Number of the last burst that was read.
-    last: Option<u32>,
+    /// Number and time of the last burst that was read, µs.
+    last: Option<(u32, u64)>,
     /// Frames since the last burst: of its flight, or of the next one.
     upcoming: VecDeque<Frame>,
     bursts: VecDeque<NumberedBurst>,
@@ -156,10 +156,10 @@ impl Steps {
     fn read(&mut self) {
         match self.frames.next() {
             Some(Frame::Burst(burst)) => {
-                if self.last.is_some_and(|last| burst.number <= last) {
+                if self.last.is_some_and(|last| is_new_start(last, &burst)) {
                     self.present += 1;
                 }
-                self.last = Some(burst.number);
+                self.last = Some((burst.number, burst.burst.captured_at_us));
                 if self.present > self.wanted {
                     self.is_over = true;
                     return;
