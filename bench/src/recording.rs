@@ -105,13 +105,9 @@ impl Recording {
         let header = match header(&mut lines) {
             Ok(header) => header,
             Err(LogError {
-                reason: LogFault::Empty,
+                reason: LogFault::Empty | LogFault::NoHeader,
                 ..
-            }) => return unusable("it is empty"),
-            Err(LogError {
-                reason: LogFault::NoHeader,
-                ..
-            }) => return unusable("it has comments alone"),
+            }) => return unusable("it has no header"),
             Err(LogError {
                 reason: LogFault::NotText | LogFault::NoTable { .. },
                 ..

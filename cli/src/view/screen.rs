@@ -185,8 +185,7 @@ fn draw_compass(model: &Model, horizon: Rect, figures: Rect, buffer: &mut Buffer
 
 fn draw_figures(model: &Model, area: Rect, buffer: &mut Buffer) {
     let attitude = model.attitude();
-    let plain = Style::new().fg(TEXT);
-    let faint = Style::new().fg(FAINT);
+    let (plain, faint) = (Style::new().fg(TEXT), Style::new().fg(FAINT));
     // A tall area has empty rows between the figures and around the banner.
     let (step, tall) = if area.height >= TALL { (2, 5) } else { (1, 3) };
     for (index, (name, colour)) in ["roll", "pitch", "yaw"]
