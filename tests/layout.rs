@@ -80,6 +80,9 @@ const MAY_DEPEND: [(&str, &[&str]); 10] = [
     ("xtask", &[]),
 ];
 
+/// The file that the pages name and `build.rs` writes.
+const WRITTEN_BY_BUILD: &str = "board.x";
+
 /// Dependencies of tests alone.
 const TESTS_MAY_DEPEND: [(&str, &str); 3] = [("models", "."), ("c", "models"), ("c", "recordings")];
 
@@ -300,21 +303,88 @@ fn the_models_know_nothing_of_what_they_judge() {
 }
 
 #[test]
-fn paths_in_contributing_exist() {
+fn files_and_items_that_the_root_pages_name_exist() {
     let sample = "`src/lib.rs`, `a b/c`, `a::b`, `docs/`, `<a>/b.rs`, `Cargo.toml` and `Estimator`";
     assert_eq!(
         paths_in_backticks(sample),
         ["src/lib.rs", "docs/", "Cargo.toml"]
     );
-    let page = "CONTRIBUTING.md";
-    let page_text = read(page);
-    let paths = paths_in_backticks(&page_text);
-    assert!(paths.len() > 20, "the search finds paths at all: {paths:?}");
-    let missing = paths.iter().filter(|path| !root().join(path).exists());
-    let found: Vec<String> = missing
-        .map(|path| format!("{page}: `{path}` is missing"))
-        .collect();
-    report(&found);
+    let files = files_below("", &["rs"]);
+    let page = "In `src/estimator/kalman/`: `slice` in `slices.rs`, `none` in\n`slices.rs`,\n\
+                `tests/no.rs`, `slice` in `mod.rs`, `Kalman::restart` in `mod.rs`.\n";
+    assert_eq!(
+        wrong_names(page, &files),
+        [
+            "`slices.rs` has no `none`",
+            "`tests/no.rs` is missing",
+            "`mod.rs` has no `slice`"
+        ]
+    );
+    for page in ["CONTRIBUTING.md", "ARCHITECTURE.md"] {
+        let text = read(page);
+        let paths = paths_in_backticks(&text);
+        assert!(paths.len() > 20, "the search finds paths at all: {paths:?}");
+        let wrong = wrong_names(&text, &files);
+        report(
+            &wrong
+                .iter()
+                .map(|wrong| format!("{page}: {wrong}"))
+                .collect::<Vec<String>>(),
+        );
+    }
+}
+
+/// Files that do not exist, and items that are not in the file that the page names after them.
+///
+/// A file's name without its folder belongs to the section's last folder that has such a file, or
+/// else to any folder.
+fn wrong_names(page: &str, files: &BTreeMap<String, String>) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut folder = "";
+    let parts: Vec<&str> = page.split('`').collect();
+    // Odd parts are in backticks, and the text before each decides what it is.
+    for at in (1..parts.len()).step_by(2) {
+        let (before, name) = (parts[at - 1], parts[at]);
+        if before.contains("\n#") {
+            folder = "";
+        }
+        if paths_in_backticks(&format!("`{name}`")).is_empty() {
+            continue;
+        }
+        if name.ends_with('/') {
+            folder = name;
+        }
+        let in_folder = format!("{folder}{name}");
+        let candidates: Vec<&str> = if let Some(text) = files.get(name) {
+            vec![text]
+        } else if let Some(text) = files.get(&in_folder) {
+            vec![text]
+        } else {
+            let part = format!("/{name}");
+            let is_named =
+                |path: &str| path.ends_with(&part) || name.ends_with('/') && path.contains(&part);
+            let named = files.iter().filter(|(path, _)| is_named(path));
+            named.map(|(_, text)| text.as_str()).collect()
+        };
+        if candidates.is_empty() && name != WRITTEN_BY_BUILD && !root().join(name).exists() {
+            found.push(format!("`{name}` is missing"));
+        } else if before.split_whitespace().eq(["in"]) && name.ends_with(".rs") {
+            let item = parts[at - 2].rsplit("::").next().unwrap_or_default();
+            let declared = [
+                "fn ITEM(",
+                "fn ITEM<",
+                "const ITEM:",
+                "enum ITEM ",
+                "trait ITEM ",
+            ];
+            let declared = declared.map(|text| text.replace("ITEM", item));
+            let has = |text: &&str| declared.iter().any(|declared| text.contains(declared));
+            if !candidates.iter().any(has) {
+                found.push(format!("`{name}` has no `{item}`"));
+            }
+        }
+    }
+    found
 }
 
 /// A line's number and what is wrong with it.
