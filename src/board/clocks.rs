@@ -65,22 +65,27 @@ const STM32F405: u16 = 0x413;
 const REVISION_A: u16 = 0x1000;
 
 /// Switches the power controller's clock on, which [`voltage_is_ready`] needs, and selects the
-/// regulator's scale. An STM32F411 starts at scale 2, for up to 84 MHz, and needs scale 1 (RM0383,
-/// 5.4.1). The other chips start with the scale that their clock needs. The scale takes effect with
-/// the PLL, and must be selected while the PLL is off: before `freeze`.
+/// regulator's scale. The scale takes effect with the PLL, and must be selected while the PLL is
+/// off: before `freeze`.
 #[cfg(not(feature = "board-stm32f405"))]
 fn prepare_voltage() {
     enable(|rcc| {
         rcc.apb1enr().modify(|_, w| w.pwren().set_bit());
     });
-    #[cfg(any(feature = "board-blackpill-f411", feature = "board-nucleo-f411"))]
-    // SAFETY: only init, before any interrupt, writes this register, and 0b11 is scale 1.
-    unsafe {
-        (*stm32f4xx_hal::pac::PWR::ptr())
-            .cr()
-            .modify(|_, w| w.vos().bits(0b11));
+    if NEEDS_SCALE_1 {
+        // SAFETY: only init, before any interrupt, writes this register, and 0b11 is scale 1.
+        unsafe {
+            (*stm32f4xx_hal::pac::PWR::ptr())
+                .cr()
+                .modify(|_, w| w.vos().bits(0b11));
+        }
     }
 }
+
+/// True if the regulator starts at a scale that is too low for the core's clock. Chips of up to
+/// 100 MHz start at scale 2, for up to 84 MHz (RM0383, 5.4.1). Faster chips start at scale 1.
+#[cfg(not(feature = "board-stm32f405"))]
+const NEEDS_SCALE_1: bool = BOARD.core_hz > 84_000_000 && BOARD.core_hz <= 100_000_000;
 
 /// Returns whether the regulator's voltage suffices for the core with the PLL on. Only the
 /// STM32F405 keeps its scale while the PLL is off.
