@@ -12,7 +12,7 @@
 //! its Z axis up, so that it reads +9.81 along Z at rest. The filter takes body axes, with Z down,
 //! where a level body at rest reads −9.81. [`Mount::to_body`] converts.
 //!
-//! In a project of your own: `aplomb = { git = "…" }` without features.
+//! In a project of your own: `aplomb = { path = "../aplomb" }` without features.
 
 use std::error::Error;
 

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! [`show_attitude`] does all the work on any chip; `main` is for an STM32F4 with `stm32f4xx-hal`.
-//! In a project of your own: `aplomb = { git = "…" }` without features, and your chip's HAL. A
-//! read blocks for 0.4 ms at 400 kHz. At less than 1000 samples a second, raise
+//! In a project of your own: `aplomb = { path = "../aplomb" }` without features, and your chip's
+//! HAL. A read blocks for 0.4 ms at 400 kHz. At less than 1000 samples a second, raise
 //! `sample_rate_divider` and lower the low-pass filter with it. The settings are read back in
 //! another 0.4 ms, so that a sensor that has lost them is found.
 

@@ -7,8 +7,8 @@
 //!
 //! [`show_attitude`] works with any `embedded-hal-async` bus and pin; `main` is an STM32F405
 //! (another chip is another feature of `embassy-stm32`). Pins are those of the README: SCL PB8, SDA
-//! PB9, INT PA1. In a project of your own: `aplomb = { git = "…" }` without features. The time of
-//! a sample is that of the task's wake-up, so other tasks may delay it.
+//! PB9, INT PA1. In a project of your own: `aplomb = { path = "../aplomb" }` without features. The
+//! time of a sample is that of the task's wake-up, so other tasks may delay it.
 
 #![no_std]
 #![no_main]
