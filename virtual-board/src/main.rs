@@ -427,7 +427,7 @@ fn table(outcome: &Outcome) -> String {
         (
             "inclination error",
             format!(
-                "{} degrees rms, {} at most",
+                "{} degrees rms, {} at most (mov 1, not CALIBRATING)",
                 number(summary.inclination_rms_deg, 2),
                 number(summary.inclination_max_deg, 2)
             ),

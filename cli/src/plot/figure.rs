@@ -254,7 +254,7 @@ impl Figure {
         }
         if self.scored > 0 {
             let rms = (self.squares / self.scored as f64).sqrt();
-            text += &format!("; inclination error {rms:.2} degrees rms");
+            text += &format!("; inclination error {rms:.2} degrees rms (mov 1, after 5 s)");
         } else if !self.errors.is_empty() {
             text += "; no inclination error, since no row with truth counts (mov 1, after 5 s)";
         }

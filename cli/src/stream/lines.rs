@@ -156,12 +156,14 @@ impl Lines {
                 self.heading.is_valid = value == 1.0;
                 items.push(Item::Heading(self.heading));
             }
-            _ => {
+            "valid" => {
                 variables.is_valid = value == 1.0;
                 let line = *variables;
                 self.attitude(&line, items);
                 return Content::Attitude(Format::Module(OutputFormat::Teleplot));
             }
+            // A label that belongs to neither.
+            _ => {}
         }
         Content::Other
     }

@@ -162,6 +162,10 @@ const USABLE_TILT_RAD: f32 = radians(30.0);
 /// periods of a vibration of 50 Hz.
 const FIRST_MEAN_S: f32 = 0.15;
 
+/// Least ratio of the prior's variance to that of a certain accelerometer bias. Below 2 the prior
+/// would weigh more than the motion's measurements.
+const CERTAIN_VARIANCE_RATIO: f32 = 2.5;
+
 /// Time per slice of a covariance step, s: a longer sample period runs several slices with each
 /// sample. At about 100 Hz a step takes longer than [`Tuning::covariance_period_s`], and the next
 /// interval is longer by that.
@@ -522,9 +526,9 @@ impl Kalman {
         Vector3::new(sigma(0), sigma(1), sigma(2))
     }
 
-    /// Returns the accelerometer bias along the body's forward and right axes, m/s², once motion
-    /// has halved its variances; `None` before. The part along the down axis is zero, because its
-    /// estimate drifts in flight.
+    /// Returns the accelerometer bias along the body's forward and right axes, m/s²; `None` until
+    /// motion has reduced both variances to 0.4 of the prior's. The part along the down axis is
+    /// zero, because its estimate drifts in flight.
     ///
     /// The next run can start with it: see `Calibration::add_accelerometer_offset`.
     pub fn certain_accelerometer_bias_m_s2(&self) -> Option<Vector3> {
@@ -532,7 +536,7 @@ impl Kalman {
             let covariance = &self.step.covariance;
             covariance.parameter_variance(GYROSCOPE_PARAMETERS + axis)
         };
-        let is_certain = 2.5 * larger(variance(0), variance(1))
+        let is_certain = CERTAIN_VARIANCE_RATIO * larger(variance(0), variance(1))
             < square(self.parameter_priors.accelerometer_m_s2);
         let bias = self.nominal.accelerometer_bias_m_s2;
         is_certain.then(|| Vector3::new(bias.x, bias.y, 0.0))

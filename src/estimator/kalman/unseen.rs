@@ -108,7 +108,7 @@ impl Kalman {
     }
 
     /// Inflates the variances for the motion hidden in a step of `dt_s` seconds to this sample. If
-    /// they hide the tilt, the next sample restarts it: one sample alone is not believed.
+    /// the hidden motion is too large, the next sample resets the tilt, not this one.
     #[cold]
     #[inline(never)]
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) {
