@@ -67,7 +67,7 @@ const STALE_PERIOD_US: u32 = 5_000;
 const POLL_AFTER_CHECK_US: u32 = 300;
 /// Polls of CR1 that take longer than a STOP, of 2.5 µs.
 const STOP_POLLS: u32 = 200;
-/// Shortest period with which every edge is examined, because each comes later.
+/// Shortest period after the reader is enabled. Zero sends every edge to `on_unexpected_edge`.
 const EXAMINE_EVERY_EDGE_US: u32 = 0;
 
 /// Burst reader. All its methods run at one priority, so none interrupts another.
@@ -150,7 +150,8 @@ impl BurstReader {
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
         let count = timebase.captured();
         let since_last = count.wrapping_sub(self.captured_at_us as u32);
-        // Too soon, or after missed edges.
+        // The difference wraps, so this one comparison finds both an edge that is too early and one
+        // that is too late.
         let beyond = since_last.wrapping_sub(self.shortest_period_us);
         if self.step != BurstStep::Idle || beyond > self.shortest_period_us / 2 {
             self.on_unexpected_edge(count, since_last, timebase);
