@@ -7,21 +7,38 @@
 //!   coordinated turn of minutes a wrong tilt and a wrong bias explain all readings together.
 //! - A wide turn moves tilt and bias so slowly that nothing contradicts them. At 50 m/s a bank of
 //!   9° reads as level with a bias of 0.3 °/s.
-//! - A reset of the core or a pause hides motion. So for up to 20 s no correction contradicts a
-//!   bias (`consistency.rs`), and for some seconds more none may have done so yet. Meanwhile the
-//!   tilt may become that of level flight in a turn.
+//! - A reset of the core or a pause hides motion. So for up to 20 s no correction fails the
+//!   consistency test, and for some seconds more none may have done so yet. Meanwhile the tilt may
+//!   become that of level flight in a turn.
 //!
 //! Therefore the bias has a reference: that of the last rest, which a reset keeps, or else the
 //! stored bias. A bias that may be wrong has to be confirmed: by a rest, or by motion that leads it
 //! back to within 0.2 °/s of the reference and makes it certain. Until then σ of the tilt has a
 //! least value, in motion or while armed (`tilt_variance.rs`):
 //!
-//! | state | begins with | least σ of the tilt | known, with σ below 0.5 °/s |
+//! | state | least σ of the tilt | known, with σ below 0.5 °/s |
+//! |---|---|---|
+//! | `Confirmed` | 4° under suspicion, else none | yes |
+//! | `Drifted` | 4° | yes |
+//! | `Stored` | 4° and the bank that the force shows | yes |
+//! | `Suspect` | 6.4° and that bank | near the reference |
+//!
+//! These events change the state, each from any state unless the table limits it. All others keep
+//! it. The last three are judged after each correction (`judge_bias`). "Near" is within 0.2 °/s of
+//! the reference, with a small σ, while the consistency test is not suspended.
+//!
+//! | event | new state | from | where |
 //! |---|---|---|---|
-//! | `Confirmed` | confirmation | 4° under suspicion, else none | yes |
-//! | `Drifted` | a slow change by 0.2 °/s; after `Suspect` | 4° | yes |
-//! | `Stored` | a stored bias, at the start | 4° and the bank that the force shows | yes |
-//! | `Suspect` | contradiction, core reset, pause | 6.4° and that bank | near the reference |
+//! | a new filter, `restart` | `Confirmed` | | `fresh` |
+//! | a stored bias | `Stored` | | `set_bias` |
+//! | a rest measures the bias | `Confirmed` | | `measure_at_rest` |
+//! | the corrections fail the consistency test | `Suspect` | | `admit_changed_bias` |
+//! | core reset, wrong samples | `Suspect` | | `resume`, `inflate_motion` |
+//! | a hidden turn of 2° or more, such as a pause | `Suspect` | | `inflate_tilt` |
+//! | a gap, or a sample that sets a lost tilt | `Suspect` | | `level_to` |
+//! | near, and the consistency test is conclusive | `Confirmed` | | `judge_bias` |
+//! | near, and it is not conclusive yet | `Drifted` | `Suspect` | `judge_bias` |
+//! | a known bias is farther than 0.2 °/s | `Drifted` | `Confirmed` | `judge_bias` |
 //!
 //! Five terms, which are not the same:
 //!
@@ -45,7 +62,7 @@ const CONFIRMED_SIGMA_RAD_S: f32 = radians(0.42);
 /// Largest change of a bias that is confirmed, from the reference. With 0.3 °/s two of 112 flights
 /// in wide turns and circles were `VALID` and wrong, one for four minutes.
 const CONFIRMED_CHANGE_RAD_S: f32 = radians(0.2);
-/// Largest change of a contradicted bias that is known: a flight in turns had one of 5 °/s.
+/// Largest change of a suspect bias that is known: a flight in turns had one of 5 °/s.
 const KNOWN_CHANGE_RAD_S: f32 = radians(1.0);
 
 /// Confirmation of the bias.
@@ -80,8 +97,8 @@ impl Kalman {
     /// Updates after a correction whether the bias is confirmed and known.
     ///
     /// - Near its reference and certain, it is confirmed. But while unseen motion suspends the
-    ///   check of consistency, nothing changes. When the check runs again, a suspect bias counts as
-    ///   drifted, and once the check is conclusive, as confirmed.
+    ///   consistency test, nothing changes. When the test runs again, a suspect bias counts as
+    ///   drifted, and once the test is conclusive, as confirmed.
     /// - Farther off, a confirmed and known bias has drifted. An unknown one still converges.
     #[inline(never)]
     pub(super) fn judge_bias(&mut self) {

@@ -1,4 +1,5 @@
-//! Consistency of the corrections with their covariance: finds a bias that has changed in motion.
+//! Consistency test of the corrections against their covariance: finds a bias that has changed in
+//! motion.
 //!
 //! A covariance step corrects the tilt by δ, north and east. If the filter's model holds,
 //! corrections have no preferred direction, and the covariance of δ is the decrease P⁻ − P⁺
@@ -35,7 +36,7 @@ const CONTRADICTION_GATE: f32 = 4.0;
 /// (1°)² within 9 s of a turn of 2°, and within 20 s of one of 80°. A vehicle in flight needs
 /// that time to correct the tilt.
 const UNSEEN_SHARE: f32 = 128.0;
-/// Variance of the sum from which on the check is suspended, rad².
+/// Variance of the sum from which on the test is suspended, rad².
 const SUSPENDED_RAD2: f32 = square(radians(1.0));
 /// Variance of the sum below which nothing hides a changed bias any more, rad².
 const SETTLED_RAD2: f32 = square(radians(0.4));
@@ -103,14 +104,14 @@ impl Consistency {
         self.squared() > SUSPICION_GATE * self.variance_rad2
     }
 
-    /// Returns whether the check is suspended after unseen motion: for up to 20 s, or longer if
+    /// Returns whether the test is suspended after unseen motion: for up to 20 s, or longer if
     /// more follows, or while the measurements reduce a large variance.
     #[inline]
     pub(super) fn is_suspended(&self) -> bool {
         self.variance_rad2 > SUSPENDED_RAD2
     }
 
-    /// Returns whether the check has found nothing for long enough after unseen motion that the
+    /// Returns whether the test has found nothing for long enough after unseen motion that the
     /// bias cannot have changed much: for some three seconds, in motion.
     #[inline]
     pub(super) fn is_conclusive(&self) -> bool {

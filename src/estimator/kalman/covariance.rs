@@ -206,7 +206,7 @@ impl Covariance {
 
     /// Sets the variances of tilt (per axis, rad²) and velocity (per axis, (m/s)²), and all their
     /// correlations to zero.
-    pub(super) fn reset_motion(&mut self, tilt: f32, velocity: f32) {
+    pub(super) fn reset_tilt_and_velocity(&mut self, tilt: f32, velocity: f32) {
         self.cross.as_flattened_mut().fill(0.0);
         self.dynamic = [
             [tilt, 0.0, 0.0, 0.0],

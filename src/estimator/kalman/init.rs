@@ -147,7 +147,7 @@ impl Kalman {
         tilt_sigma_rad: f32,
     ) {
         self.set_bias_prior(bias_rad_s, bias_sigma_rad_s);
-        self.reset_motion(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
+        self.reset_tilt_and_velocity(0.5 * square(tilt_sigma_rad) / REPORTED_VARIANCE_SCALE);
     }
 
     /// Shifts the bias estimate after the upstream compensation changed, rad/s. The attitude is
@@ -181,7 +181,7 @@ impl Kalman {
     /// Takes the tilt from the specific force, body axes. Without gravity, a tilt that was known
     /// becomes [`Tilt::Lost`].
     fn start_tilt(&mut self, force: Vector3, shows_gravity: bool) {
-        self.reset_motion(square(self.tuning.start_tilt_rad));
+        self.reset_tilt_and_velocity(square(self.tuning.start_tilt_rad));
         self.extra_tilt_rad2 = ONE_SAMPLE_TILT_RAD2;
         self.is_from_one_sample = true;
         if shows_gravity {
@@ -236,14 +236,14 @@ impl Kalman {
     /// An abandoned step of a first rest has reduced the bias's variance, but not corrected the
     /// bias. Its variance is therefore reset.
     #[inline(never)]
-    pub(super) fn reset_motion(&mut self, tilt_variance: f32) {
+    pub(super) fn reset_tilt_and_velocity(&mut self, tilt_variance: f32) {
         self.step.abandon();
         if self.is_first_rest {
             self.return_bias_to_prior();
         }
         let velocity_variance = square(self.tuning.start_velocity_m_s);
         let covariance = &mut self.step.covariance;
-        covariance.reset_motion(tilt_variance, velocity_variance);
+        covariance.reset_tilt_and_velocity(tilt_variance, velocity_variance);
         self.is_step_pending = false;
         self.is_tilt_checked = false;
         self.rest_watch.end();

@@ -11,16 +11,16 @@ use crate::attitude::Vector3;
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Gate of the zero-rate update, in σ of each axis.
+/// Bias gate of the zero-rate update, in σ of each axis.
 const ZERO_RATE_GATE_SIGMA: f32 = 4.0;
-/// Gate of the first zero-rate update, in σ. Beyond it the filter restarts at the rest.
+/// Bias gate of the first zero-rate update, in σ. Beyond it the filter restarts at the rest.
 const FIRST_REST_GATE_SIGMA: f32 = 2.0;
 /// Largest change of the bias from one rest to the next that is accepted at once, rad/s. After
 /// contradictions σ of the bias is large, and the gate alone would accept a swing.
-const LARGEST_CHANGE_RAD_S: f32 = radians(0.5);
-/// Time for which a rest has to contradict the bias before the filter restarts at it, s. By then
+const LARGEST_BIAS_CHANGE_RAD_S: f32 = radians(0.5);
+/// Time for which a rest has to fail the bias gate before the filter restarts at it, s. By then
 /// the rate of most swings has drifted.
-const CERTAIN_S: f32 = 3.0;
+const RESTART_AFTER_CONTRADICTION_S: f32 = 3.0;
 /// Gate of the velocity at rest, in σ. A larger velocity is steady motion, not an error of the
 /// tilt.
 const COASTING_GATE_SIGMA: f32 = 3.0;
@@ -31,23 +31,23 @@ const FIRST_COASTING_GATE_SIGMA: f32 = 2.0;
 /// σ of the bias below which one axis a step is measured at rest, rad/s.
 const WELL_KNOWN_BIAS_RAD_S: f32 = radians(0.1);
 
-/// Largest change of the specific force at rest, m/s²: after 0.6° a turn is no rest, however
+/// Drift of the specific force that ends a rest, m/s²: after 0.6° a turn is no rest, however
 /// slow and steady it is.
-const LARGEST_DRIFT_M_S2: f32 = 0.1;
-/// Largest change of the mean rate at rest, rad/s. In revision 27 with 0.4 °/s 19 of 120 buoys
+const LARGEST_FORCE_DRIFT_M_S2: f32 = 0.1;
+/// Drift of the mean rate that ends a rest, rad/s. In revision 27 with 0.4 °/s 19 of 120 buoys
 /// were `VALID` and wrong, with 0.2 °/s 4 (`bench/src/valid/swings.rs`).
 const LARGEST_RATE_DRIFT_RAD_S: f32 = radians(0.2);
-/// Change of the specific force up to which a rest is steady, m/s²: three σ of its noise.
-const CERTAIN_DRIFT_M_S2: f32 = 0.03;
-/// Change of the mean rate up to which a rest is steady, rad/s: 0.1 °/s that the averages contain
+/// Drift of the specific force up to which a rest is steady, m/s²: three σ of its noise.
+const STEADY_FORCE_DRIFT_M_S2: f32 = 0.03;
+/// Drift of the mean rate up to which a rest is steady, rad/s: 0.1 °/s that the averages contain
 /// of the motion when they have settled, and noise.
-const CERTAIN_RATE_DRIFT_RAD_S: f32 = radians(0.15);
+const STEADY_RATE_DRIFT_RAD_S: f32 = radians(0.15);
 /// Time at rest after which the bias is no longer that of a swing, s. With 1.5 s swings that an
 /// interruption follows lost the bias of a true rest (`bench/src/valid/interruptions.rs`).
-const CERTAIN_RESTED_S: f32 = 1.0;
+const LEAST_RESTED_S: f32 = 1.0;
 /// Time without motion after which the first rest is believed with a larger drift, s. By then a
 /// turn of 1 °/s about a horizontal axis has exceeded the largest one.
-const CERTAIN_REST_S: f32 = 1.125;
+const DRIFTING_FIRST_REST_S: f32 = 1.125;
 /// Longest time from the check of a rest to its measurement, s, at 8 samples a second or more: the
 /// check is a slice earlier.
 const CHECK_AGE_S: f32 = 0.125;
@@ -66,6 +66,13 @@ const LEAST_UP_M_S2: f32 = 8.0;
 /// Longest time for which an acceleration explains that force, per force upwards beyond
 /// [`LEAST_UP_M_S2`], s/(m/s²): 6.8 s if the vehicle keeps its height.
 const LONGEST_ACCELERATION_S3_M: f32 = 3.75;
+
+/// Least share of the bias prior's variance that counts as learned, so that the gate of a bias that
+/// motion has hardly observed is not zero.
+const LEAST_LEARNED_SHARE: f32 = 0.02;
+/// Ratio of the bias's variance to its prior's above which the prior is not widened. At 2 the
+/// measurement of variance −2p would make the bias's variance infinite, and negative beyond.
+const LARGEST_WIDENED_RATIO: f32 = 1.5;
 
 impl Kalman {
     /// Adds this step's measurements. The covariance is propagated to the interval's end.
@@ -97,7 +104,7 @@ impl Kalman {
     /// force must have been steady up to the last check of its drift, or the rest must be long.
     fn is_rest_certain(&self) -> bool {
         let still_s = self.rest_detector.still_s();
-        still_s < self.steady_until_s + CHECK_AGE_S || still_s > CERTAIN_REST_S
+        still_s < self.steady_until_s + CHECK_AGE_S || still_s > DRIFTING_FIRST_REST_S
     }
 
     /// Ends a rest that drifts. Until the averages contain no motion, the drift is measured anew.
@@ -117,13 +124,13 @@ impl Kalman {
         }
         let squared_drift = self.rest_detector.squared_drift();
         let squared_rate_drift = self.rest_detector.squared_rate_drift();
-        if squared_drift < square(CERTAIN_DRIFT_M_S2)
-            && squared_rate_drift < square(CERTAIN_RATE_DRIFT_RAD_S)
+        if squared_drift < square(STEADY_FORCE_DRIFT_M_S2)
+            && squared_rate_drift < square(STEADY_RATE_DRIFT_RAD_S)
         {
             self.steady_until_s = still_s;
         }
         let is_swing = squared_rate_drift > square(LARGEST_RATE_DRIFT_RAD_S);
-        if !is_swing && squared_drift < square(LARGEST_DRIFT_M_S2) {
+        if !is_swing && squared_drift < square(LARGEST_FORCE_DRIFT_M_S2) {
             return;
         }
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
@@ -131,9 +138,11 @@ impl Kalman {
         let drift_s = still_s - SETTLED_S + self.tuning.covariance_period_s;
         let is_mostly_drift = 2.0 * (still_s - self.steady_until_s) > drift_s;
         let shown = self.rest_detector.average_rate_rad_s() - bias_rad_s;
-        let turned_rad_s = LARGEST_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / drift_s;
+        let turned_rad_s = LARGEST_FORCE_DRIFT_M_S2 / STANDARD_GRAVITY_M_S2 / drift_s;
+        // A drift that takes over 1.46 s is a turn of less than `HIDDEN_RATE_RAD_S`, which the
+        // gyroscope need not show. The limit below is negative then, and nothing is within it.
         let has_measured_motion = if is_swing {
-            self.rested_s < CERTAIN_RESTED_S
+            self.rested_s < LEAST_RESTED_S
         } else {
             shown.is_within(turned_rad_s - HIDDEN_RATE_RAD_S)
         };
@@ -154,7 +163,7 @@ impl Kalman {
     #[inline(never)]
     fn measure_velocity(&mut self, variance: f32) {
         for (index, velocity) in self.nominal.velocity_m_s.into_iter().enumerate() {
-            self.step.measure(Measurement {
+            self.step.queue_measurement(Measurement {
                 state: State::Dynamic(VELOCITY_NORTH + index),
                 innovation: -velocity,
                 variance,
@@ -166,8 +175,8 @@ impl Kalman {
     ///
     /// Returns false if the next sample must restart the filter from the readings:
     ///
-    /// - First rest: they contradict the bias, or the tilt is too uncertain for the linear model.
-    /// - Later rest: they contradict the bias for 3 s, and no motion explains that.
+    /// - First rest: they fail the bias gate, or the tilt is too uncertain for the linear model.
+    /// - Later rest: they fail the bias gate for 3 s, and no motion explains that.
     /// - Any rest: the force contradicts the tilt for longer than a vehicle accelerates.
     #[inline(never)]
     fn measure_at_rest(&mut self, readings: &RestReadings, duration_s: f32) -> bool {
@@ -181,6 +190,8 @@ impl Kalman {
             return false;
         }
         let force = self.nominal.attitude.rotate(readings.force_m_s2);
+        // An error θ of the tilt gives f_h = g·sin θ and up = g·cos θ, so θ² ≈
+        // f_h²/(up·g). With g² a force that points down would be explained too.
         let up_m_s2 = -force.z;
         let is_explained = square(force.x) + square(force.y)
             < up_m_s2
@@ -194,7 +205,7 @@ impl Kalman {
         // A first rest whose force does not fit the tilt measures no bias yet.
         if is_explained || self.has_rested {
             let change = readings.rate_rad_s - self.bias_prior.reference_rad_s;
-            let is_near = !self.has_rested || change.is_within(LARGEST_CHANGE_RAD_S);
+            let is_near = !self.has_rested || change.is_within(LARGEST_BIAS_CHANGE_RAD_S);
             self.has_rested = true;
             let rate_variance = self.rest_detector.rate_variance();
             if is_near && self.passes_gate(difference, ZERO_RATE_GATE_SIGMA) {
@@ -205,7 +216,7 @@ impl Kalman {
                 self.rested_s += duration_s;
                 self.rest_detector.agree();
                 self.rest_watch.add_rest(rate_variance);
-            } else if self.rest_detector.contradicted_s() > CERTAIN_S
+            } else if self.rest_detector.contradicted_s() > RESTART_AFTER_CONTRADICTION_S
                 && !self.rest_watch.is_motion(rate_variance)
             {
                 return false;
@@ -253,7 +264,7 @@ impl Kalman {
         for (axis, innovation) in innovations.into_iter().enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
             if own > square(WELL_KNOWN_BIAS_RAD_S) || axis == usize::from(self.last_measured_axis) {
-                self.step.measure(Measurement {
+                self.step.queue_measurement(Measurement {
                     state: State::Parameter(axis),
                     innovation,
                     variance,
@@ -291,12 +302,12 @@ impl Kalman {
         let deviations = [bias.x, bias.y, bias.z];
         for (axis, (bias, variance)) in deviations.into_iter().zip(variances).enumerate() {
             let own = self.step.covariance.parameter_variance(axis);
-            let learned = larger(*variance - own, 0.02 * *variance);
+            let learned = larger(*variance - own, LEAST_LEARNED_SHARE * *variance);
             if square(bias) > square(self.tuning.prior_gate_sigma) * learned
                 && *variance < square(LARGEST_GYROSCOPE_BIAS_RAD_S)
-                && own < *variance * 1.5
+                && own < *variance * LARGEST_WIDENED_RATIO
             {
-                self.step.measure(Measurement {
+                self.step.queue_measurement(Measurement {
                     state: State::Parameter(axis),
                     innovation: -bias,
                     variance: -2.0 * *variance,

@@ -162,8 +162,8 @@ const USABLE_TILT_RAD: f32 = radians(30.0);
 /// periods of a vibration of 50 Hz.
 const FIRST_MEAN_S: f32 = 0.15;
 
-/// Least ratio of the prior's variance to that of a certain accelerometer bias. Below 2 the prior
-/// would weigh more than the motion's measurements.
+/// Least ratio of the prior's variance to that of a certain accelerometer bias. Motion then weighs
+/// 1.5 times as much as the prior.
 const CERTAIN_VARIANCE_RATIO: f32 = 2.5;
 
 /// Time per slice of a covariance step, s: a longer sample period runs several slices with each
@@ -362,7 +362,7 @@ impl Kalman {
         };
         filter.reset_parameters();
         filter.return_bias_to_prior();
-        filter.reset_motion(square(tuning.start_tilt_rad));
+        filter.reset_tilt_and_velocity(square(tuning.start_tilt_rad));
         filter
     }
 
@@ -393,7 +393,7 @@ impl Kalman {
     }
 
     fn forget_parameters(&mut self) {
-        self.reset_motion(0.5 * self.total_tilt_variance());
+        self.reset_tilt_and_velocity(0.5 * self.total_tilt_variance());
         self.reset_parameters();
     }
 

@@ -32,8 +32,8 @@ impl Kalman {
             covariance.add_to_parameter(axis, walk);
         }
         let tilt = covariance.tilt_variance();
-        let density = square(tuning.rate_noise) + square(tuning.coupling) * bias * tilt;
-        let tilt_noise = density * duration_s
+        let rate_density = square(tuning.rate_noise) + square(tuning.coupling) * bias * tilt;
+        let tilt_noise = rate_density * duration_s
             + square(tuning.rate_noise_per_rate) * self.interval.squared_rate
             + self.interval.unseen_tilt_rad2;
         // A still sensor does not shake, even after much motion.
@@ -42,16 +42,16 @@ impl Kalman {
         } else {
             square(tuning.force_noise_per_velocity) * self.recent.squared
         };
-        let density = square(tuning.force_noise) + shaking;
-        let velocity_noise = density * duration_s + self.interval.unseen_velocity_m2_s2;
+        let force_density = square(tuning.force_noise) + shaking;
+        let velocity_noise = force_density * duration_s + self.interval.unseen_velocity_m2_s2;
         let transition = &self.interval.transition;
         self.step
             .begin(transition, tilt_noise, velocity_noise, duration_s);
         self.interval = Interval::EMPTY;
     }
 
-    /// Makes tilt and bias uncertain again if the last steps' corrections contradict the bias. The
-    /// bias has to be confirmed then.
+    /// Makes tilt and bias uncertain again if the last steps' corrections fail the consistency
+    /// test. The bias has to be confirmed then.
     ///
     /// The correction of the first rest is not among them.
     pub(super) fn admit_changed_bias(&mut self) {

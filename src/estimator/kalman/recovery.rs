@@ -1,5 +1,13 @@
 //! Restarts: at a rest that contradicts the state, from the mean specific force, from unusable
 //! numbers.
+//!
+//! Three tests compare readings with the state. Comments call them by these names:
+//!
+//! | name | compares | where |
+//! |---|---|---|
+//! | force check | mean specific force and tilt, before each covariance step | `check_tilt` |
+//! | consistency test | sum of the corrections and its covariance, in motion | `consistency.rs` |
+//! | bias gate | mean rate and bias, at rest | `measure_at_rest` |
 
 use super::consistency::Consistency;
 use super::measurements::REST_FORCE_SHARE;
@@ -11,11 +19,12 @@ use crate::estimator::arithmetic::square;
 use crate::serialize::StateVisitor;
 use crate::units::{STANDARD_GRAVITY_M_S2, radians};
 
-/// Time for which the specific force contradicts an ambiguous tilt before it is believed, s: longer
-/// than a vehicle dashes while it falls. A tilt that is not ambiguous is not `VALID` from then on.
+/// Time for which the force check has to fail before an ambiguous tilt is set from the force, s:
+/// longer than a vehicle dashes while it falls. A tilt that is not ambiguous is not `VALID` from
+/// then on.
 const CONTRADICTION_S: f32 = 1.3;
-/// Time for which it contradicts a tilt that is not ambiguous before it is believed, s: longer than
-/// an aeroplane pushes over.
+/// Time for which it has to fail before a tilt that is not ambiguous is set, s: longer than an
+/// aeroplane pushes over.
 const LONG_CONTRADICTION_S: f32 = 4.0;
 /// σ of the tilt, both axes together, rad, from which on it is ambiguous: six σ are 60°.
 const AMBIGUOUS_TILT_RAD: f32 = radians(10.0);
@@ -65,9 +74,9 @@ impl Kalman {
             .reset_parameters(&self.parameter_priors);
     }
 
-    /// Checks the tilt against the mean specific force. Sets the tilt from it if a single sample
-    /// has set the tilt, or if the mean is about one g and over 45° from up. Both end the interval
-    /// without a covariance step.
+    /// Runs the force check: the tilt against the mean specific force. Sets the tilt from it if a
+    /// single sample has set the tilt, or if the mean is about one g and over 45° from up. Both
+    /// end the interval without a covariance step.
     ///
     /// No vehicle that holds its height reads such a force: a sideways acceleration of one g would
     /// give 1.4 g. But a vehicle that dashes and falls may have such a mean, and an aeroplane that
@@ -100,15 +109,15 @@ impl Kalman {
                 let integral_m_s = sum.integral_m_s;
                 self.level(integral_m_s);
                 // Ends the sum, too.
-                self.reset_motion(square(self.tuning.start_tilt_rad));
+                self.reset_tilt_and_velocity(square(self.tuning.start_tilt_rad));
             } else {
                 *sum = ForceSum::NONE;
             }
         }
     }
 
-    /// Returns whether the specific force has contradicted a tilt that is not ambiguous for 1.3 s.
-    /// The sum of an ambiguous tilt ends by then.
+    /// Returns whether a tilt that is not ambiguous has failed the force check for 1.3 s. The sum
+    /// of an ambiguous tilt ends by then.
     pub(super) fn is_tilt_contradicted(&self) -> bool {
         self.force_sum.duration_s > CONTRADICTION_S
     }

@@ -70,7 +70,7 @@ pub(super) struct RestDetector {
     first_force_m_s2: Vector3,
     /// True once a rest has been accepted and has ended: the next one must be longer.
     is_later_rest: bool,
-    /// Time without motion, s, until which the readings agreed with the offset. Zero before the
+    /// Time without motion, s, until which the readings passed the bias gate. Zero before the
     /// first check of the drift.
     agreed_until_s: f32,
     /// Time without motion, s. During the first average it is minus the average's length so far.
@@ -176,12 +176,12 @@ impl RestDetector {
         self.rate_variance
     }
 
-    /// Notes that the readings agree with the offset.
+    /// Notes that the readings pass the bias gate.
     pub(super) const fn agree(&mut self) {
         self.agreed_until_s = self.still_s;
     }
 
-    /// Returns the time for which the readings have contradicted the offset without motion, s.
+    /// Returns the time for which the readings have failed the bias gate without motion, s.
     pub(super) const fn contradicted_s(&self) -> f32 {
         self.still_s - self.agreed_until_s
     }

@@ -187,8 +187,8 @@ impl CovarianceStep {
         self.phase = Phase::PropagateCross(0);
     }
 
-    /// Adds a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
-    pub(super) fn measure(&mut self, measurement: Measurement) {
+    /// Queues a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
+    pub(super) fn queue_measurement(&mut self, measurement: Measurement) {
         if let Some(free) = self.measurements.get_mut(self.measured) {
             *free = measurement;
             self.measured += 1;

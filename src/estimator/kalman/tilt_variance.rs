@@ -52,8 +52,8 @@ const SUSPECT_BIAS_TILT_RAD: f32 = radians(7.0);
 /// Largest σ of a bank that the specific force shows, both axes together, rad. In turns of up to
 /// 68° no error exceeded six σ, and with it a quadrotor's accelerations do not end `VALID`.
 const SHOWN_BANK_RAD: f32 = radians(15.0);
-/// Least σ of the tilt while the specific force contradicts it, both axes together, rad: too much
-/// for `VALID`.
+/// Least σ of the tilt while it fails the force check, both axes together, rad: too much for
+/// `VALID`.
 const CONTRADICTED_TILT_RAD: f32 = radians(40.0);
 
 impl Kalman {

@@ -77,7 +77,7 @@ impl Kalman {
     }
 
     /// Inflates the tilt by this variance of the filter per axis, rad²: a turn that a sample has
-    /// shown, and that may not have happened. The check of consistency goes on.
+    /// shown, and that may not have happened. The consistency test goes on.
     pub(crate) fn inflate_turn(&mut self, variance: f32) {
         self.interval.unseen_tilt_rad2 += variance;
     }
@@ -94,7 +94,7 @@ impl Kalman {
     /// has to be confirmed.
     pub fn inflate_motion(&mut self, variance: f32) {
         let tilt_variance = 0.5 * self.total_tilt_variance();
-        self.reset_motion(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
+        self.reset_tilt_and_velocity(tilt_variance + variance / REPORTED_VARIANCE_SCALE);
         self.allow_unseen_motion(variance);
     }
 

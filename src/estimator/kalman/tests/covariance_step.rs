@@ -138,7 +138,7 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
                 | Progress::Checked => {}
                 Progress::Predicted => {
                     for (state, innovation, variance) in &measurements {
-                        step.measure(Measurement {
+                        step.queue_measurement(Measurement {
                             state: *state,
                             innovation: *innovation,
                             variance: *variance,

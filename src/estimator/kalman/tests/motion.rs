@@ -175,7 +175,7 @@ fn shaking_does_not_hide_that_the_tilt_is_wrong() {
         let over = Quaternion::from_rotation_vector(Vector3::new(2.8, 0.3 * random.next(), 0.0));
         let filter = estimator.filter_mut();
         filter.nominal.attitude = over.multiply(filter.nominal.attitude);
-        filter.reset_motion(square(filter.tuning.start_tilt_rad));
+        filter.reset_tilt_and_velocity(square(filter.tuning.start_tilt_rad));
         let shaking = random.vector(12.0);
         let phase = 3.0 * random.next();
         let mut error = f32::INFINITY;
