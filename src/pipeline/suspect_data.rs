@@ -5,7 +5,7 @@
 
 use crate::attitude::Vector3;
 use crate::estimator::arithmetic::square;
-use crate::estimator::kalman::Kalman;
+use crate::estimator::kalman::{HIDDEN_SHARE, Kalman, LARGEST_HIDDEN_TURN_RAD, LONG_STEP_S};
 use crate::estimator::{Estimator, Sample};
 use crate::health::Flags;
 use crate::serialize::StateVisitor;
@@ -19,15 +19,12 @@ const WRONG_SETTINGS_TILT_RAD: f32 = radians(5.0);
 const LARGEST_ACCELERATION_RAD_S2: f32 = 1_000.0;
 /// Longest time for which a blow may turn the body at full scale, s.
 const BLOW_S: f32 = 10.0e-3;
-/// σ per axis of the rate in a blow, as a share of the reading. Six σ exceed it.
-const BLOW_SHARE: f32 = 0.2;
 /// Largest rate that a sensor of this family reads, with a margin, rad/s.
 const LARGEST_SENSOR_RATE_RAD_S: f32 = 100.0;
 /// Longest step to a jump of the rate, µs. A longer one is a pause: the filter itself adds the
 /// change of the rate to σ.
-const LONGEST_JUMP_US: u32 = 15_000;
-/// Hidden turn from which on gravity shows the tilt better, rad: 1.5 σ of a start.
-const LOST_TURN_RAD: f32 = 0.3;
+const LONGEST_JUMP_US: u32 = (LONG_STEP_S * 1.0e6) as u32;
+const _: () = assert!(LONGEST_JUMP_US == 15_000);
 
 /// Spurious full-scale readings, with their duration, and frozen data.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +83,8 @@ impl SuspectData {
         // rejects it beyond a limit of its own.
         if sample.is_rate_saturated && is_spurious && rate.is_within(LARGEST_SENSOR_RATE_RAD_S) {
             self.spurious_s = was_spurious_s + step_s;
-            let blow = |spurious_s: f32| square(BLOW_SHARE * rate.norm() * spurious_s.min(BLOW_S));
+            let blow =
+                |spurious_s: f32| square(HIDDEN_SHARE * rate.norm() * spurious_s.min(BLOW_S));
             let hidden = |spurious_s| blow(spurious_s) + filter.pause_variance_rad2(spurious_s);
             let added = hidden(self.spurious_s) - hidden(was_spurious_s);
             filter.interrupt_rest();
@@ -99,7 +97,7 @@ impl SuspectData {
         }
         // If the rate has changed meanwhile, it did so steadily.
         let turn_rad2 = square(0.5 * (rate - before).norm() * was_spurious_s);
-        if filter.pause_variance_rad2(was_spurious_s) > square(LOST_TURN_RAD) {
+        if filter.pause_variance_rad2(was_spurious_s) > square(LARGEST_HIDDEN_TURN_RAD) {
             filter.lose_tilt();
         } else {
             inflate_hidden_turn(filter, turn_rad2);
@@ -165,7 +163,7 @@ pub(super) fn inflate_jump(estimator: &mut Estimator, last: &Sample, sample: &Sa
         let change = sample.angular_rate_rad_s - last.angular_rate_rad_s;
         let turn_rad2 = change.dot(change) * square(step_s);
         let filter = estimator.filter_mut();
-        if turn_rad2 > square(LOST_TURN_RAD) {
+        if turn_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
             filter.lose_tilt();
         } else {
             filter.inflate_turn(turn_rad2);
@@ -176,7 +174,7 @@ pub(super) fn inflate_jump(estimator: &mut Estimator, last: &Sample, sample: &Sa
 /// Inflates the tilt for a hidden turn of this variance per axis, rad². After a large one gravity
 /// shows the tilt better.
 pub(super) fn inflate_hidden_turn(filter: &mut Kalman, turn_rad2: f32) {
-    if turn_rad2 > square(LOST_TURN_RAD) {
+    if turn_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
         filter.lose_tilt();
     } else {
         filter.inflate_tilt(turn_rad2);

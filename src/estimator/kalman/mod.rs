@@ -130,6 +130,7 @@ mod tests;
 pub use prior::{AccelerometerKnowledge, GyroscopeKnowledge};
 pub use tuning::Tuning;
 pub use unseen::PAUSE_RATE_RAD_S;
+pub(crate) use unseen::{HIDDEN_SHARE, LARGEST_HIDDEN_TURN_RAD, LONG_STEP_S};
 pub use warm_start::WarmStart;
 
 use super::filter::Filter;
@@ -149,7 +150,6 @@ use recovery::ForceSum;
 use rest_detector::{LONGEST_REST_PAUSE_S, RestDetector};
 use rest_watch::RestWatch;
 use slices::{CovarianceStep, Progress};
-use unseen::LONG_STEP_S;
 
 /// Largest σ of a known bias, per axis.
 const KNOWN_BIAS_RAD_S: f32 = radians(0.5);

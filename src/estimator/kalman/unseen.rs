@@ -22,11 +22,11 @@ pub const PAUSE_RATE_RAD_S: f32 = radians(30.0);
 /// Sample periods without a sample after which a pause hides motion.
 const PAUSE_PERIODS: f32 = 3.5;
 
-/// Largest σ per axis of the turn that a pause hides, rad: 1.5 times that of the tilt at a start.
-/// Beyond it, gravity shows the tilt better. A pause of up to half a second exceeds it if the rate
-/// changes. After full-scale readings the limit is [`USABLE_TILT_RAD`], because a body that turns
-/// so fast also accelerates.
-const PAUSE_TILT_LIMIT_RAD: f32 = 0.3;
+/// Largest σ per axis of a hidden turn, rad: 1.5 times that of the tilt at a start. Beyond it,
+/// gravity shows the tilt better. A pause of up to half a second exceeds it if the rate changes.
+/// After full-scale readings the limit is [`USABLE_TILT_RAD`], because a body that turns so fast
+/// also accelerates.
+pub(crate) const LARGEST_HIDDEN_TURN_RAD: f32 = 0.3;
 
 /// σ per axis of an unseen turn, rad, from which on the vehicle may also have begun to move, and
 /// the bias has to be confirmed. A pause of 61 ms reaches it. Below, no false correction of the
@@ -36,11 +36,12 @@ const UNCERTAIN_TILT_RAD: f32 = radians(2.0);
 /// Variance of a turn after which anything may have happened, per axis, rad².
 pub(super) const ANY_TURN_RAD2: f32 = 2.0;
 
-/// Longest step in which the rate changes linearly, s.
-pub(super) const LONG_STEP_S: f32 = 15.0e-3;
+/// Longest step in which the rate changes linearly, s. After a longer one the change of the rate
+/// adds to σ.
+pub(crate) const LONG_STEP_S: f32 = 15.0e-3;
 
 /// σ per axis of the rate that full scale hides, as a share of the reading. Six σ exceed it.
-const HIDDEN_SHARE: f32 = 0.2;
+pub(crate) const HIDDEN_SHARE: f32 = 0.2;
 /// Tilt variance per second of full-scale gyroscope readings, rad²/s.
 const SATURATED_TILT: f32 = 0.25;
 /// Velocity variance per second of full-scale accelerometer readings, (m/s)²/s. Readings without
@@ -144,7 +145,7 @@ impl Kalman {
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
-                if self.interval.unseen_tilt_rad2 > square(PAUSE_TILT_LIMIT_RAD) {
+                if self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
                     self.tilt = Tilt::Lost;
                 }
             }
