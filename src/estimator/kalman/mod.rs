@@ -441,15 +441,7 @@ impl Kalman {
     fn run_slices(&mut self, slices: u32) {
         for _ in 0..slices {
             match self.step.slice() {
-                // The check may end the interval without a step.
-                Progress::Idle if self.is_tilt_checked => {
-                    self.is_tilt_checked = false;
-                    self.close_interval();
-                }
-                Progress::Idle => {
-                    self.is_tilt_checked = true;
-                    self.check_tilt();
-                }
+                Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
                 Progress::Propagated | Progress::Checked => self.update_extra_tilt(),
                 Progress::Relaxing => {
