@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use aplomb::calibration::{Calibration, Mount};
-use aplomb::mpu6050::{Burst, Config, Part, RawSample};
+use aplomb::mpu6050::{Burst, Config, LowPass, Part, RawSample};
 use aplomb::pipeline::Settings;
 use aplomb_recordings::rate::divider_of_period;
 
@@ -92,12 +92,22 @@ fn parse_rate(text: &str) -> Result<u16, String> {
     ))
 }
 
+/// Returns the widest low-pass filter at this rate, Hz: its bandwidth is half the rate at most, so
+/// that no vibration appears as a slow motion.
+fn low_pass(rate_hz: u16) -> LowPass {
+    let is_narrow = |filter: &LowPass| 2 * filter.gyroscope_bandwidth_hz() <= rate_hz;
+    // The widest filter of all changes the sensor's clock, from 1 kHz to 8 kHz.
+    let [_, usual @ ..] = LowPass::ALL;
+    usual.into_iter().find(is_narrow).unwrap_or(LowPass::Hertz5)
+}
+
 impl I2cOptions {
     /// Returns the settings of the sensor.
     fn settings(&self) -> Result<SensorSettings, String> {
         let mut config = Config::DEFAULT;
         let period_ms = (1000.0 / f64::from(self.rate_hz)).round() as u64;
         config.sample_rate_divider = divider_of_period(1_000 * period_ms);
+        config.low_pass = low_pass(self.rate_hz);
         let mut pipeline = Settings::new(&Part::MPU_6050);
         pipeline.mount = self.mount.unwrap_or(Mount::Z_UP);
         if let Some(path) = &self.calibration {
@@ -173,7 +183,7 @@ mod linux {
     use linux_embedded_hal::{Delay, I2cdev};
 
     use super::{Burst, Config, I2cOptions, Sampled};
-    use crate::sampler::{Edges, Sampler};
+    use crate::sampler::{Edge, Edges, Sampler};
 
     /// Longest time without an edge.
     const SILENCE: Duration = Duration::from_secs(1);
@@ -275,6 +285,8 @@ mod linux {
     struct Pin {
         name: String,
         request: Request,
+        /// Number of the last edge, by the kernel's count.
+        last: Option<u32>,
     }
 
     impl Pin {
@@ -301,12 +313,13 @@ mod linux {
             Ok(Self {
                 name: name.to_owned(),
                 request,
+                last: None,
             })
         }
     }
 
     impl Edges for Pin {
-        fn wait(&mut self) -> Result<u64, String> {
+        fn wait(&mut self) -> Result<Edge, String> {
             let failed = |error: gpiocdev::Error| format!("{}: {error}", self.name);
             if !self.request.wait_edge_event(SILENCE).map_err(failed)? {
                 return Err(format!(
@@ -319,12 +332,23 @@ mod linux {
             while self.request.has_edge_event().map_err(failed)? {
                 event = self.request.read_edge_event().map_err(failed)?;
             }
-            Ok(event.timestamp_ns / 1_000)
+            // The kernel counts those too that its buffer could not hold.
+            let number = event.line_seqno;
+            Ok(Edge {
+                time_us: event.timestamp_ns / 1_000,
+                skipped: skipped(self.last.replace(number), number),
+            })
         }
 
         fn is_polled(&self) -> bool {
             false
         }
+    }
+
+    /// Returns the number of edges between the last edge and this one, by their numbers. None count
+    /// before the first.
+    fn skipped(last: Option<u32>, number: u32) -> u32 {
+        last.map_or(0, |last| number.wrapping_sub(last).saturating_sub(1))
     }
 
     /// Grid of times to poll at.
@@ -346,17 +370,22 @@ mod linux {
     }
 
     impl Edges for Clock {
-        fn wait(&mut self) -> Result<u64, String> {
+        fn wait(&mut self) -> Result<Edge, String> {
             let now = self.started.elapsed();
+            let mut skipped = 0;
             if let Some(rest) = self.next.checked_sub(now) {
                 std::thread::sleep(rest);
             } else {
                 // A slow bus or a busy computer: no burst is made up for.
+                skipped = (now - self.next).as_micros() / self.period.as_micros();
                 self.next = now;
             }
             self.next += self.period;
-            // The time before the transfer: the registers hold the sample from before it.
-            Ok(self.started.elapsed().as_micros() as u64)
+            Ok(Edge {
+                // The time before the transfer: the registers hold the sample from before it.
+                time_us: self.started.elapsed().as_micros() as u64,
+                skipped: skipped as u32,
+            })
         }
 
         fn is_polled(&self) -> bool {
@@ -386,6 +415,28 @@ mod linux {
         }
 
         #[test]
+        fn edges_that_nobody_waited_for_are_counted() {
+            for (last, number, count) in [
+                (None, 900, 0),
+                (Some(900), 901, 0),
+                (Some(901), 904, 2),
+                (Some(u32::MAX), 1, 1),
+            ] {
+                assert_eq!(skipped(last, number), count, "{last:?} {number}");
+            }
+        }
+
+        #[test]
+        fn the_clock_counts_the_periods_that_it_skips() {
+            let mut clock = Clock::new(4);
+            assert_eq!(clock.wait().map(|edge| edge.skipped), Ok(0));
+            assert_eq!(clock.wait().map(|edge| edge.skipped), Ok(0));
+            std::thread::sleep(Duration::from_millis(22));
+            let skipped = clock.wait().map(|edge| edge.skipped).expect("it waits");
+            assert!(skipped >= 3, "{skipped}");
+        }
+
+        #[test]
         fn the_number_of_a_bus_is_the_whole_one() {
             for (path, number) in [
                 ("/dev/i2c-1", "1"),
@@ -402,6 +453,30 @@ mod linux {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_low_pass_filter_is_below_half_the_rate() {
+        for (rate_hz, bandwidth_hz) in [
+            (1000, 188),
+            (500, 188),
+            (333, 98),
+            (200, 98),
+            (100, 42),
+            (50, 20),
+            (20, 10),
+            (10, 5),
+            (4, 5),
+        ] {
+            let options = I2cOptions {
+                rate_hz,
+                ..I2cOptions::default()
+            };
+            let config = options.settings().expect("settings").config;
+            assert_eq!(config.low_pass.gyroscope_bandwidth_hz(), bandwidth_hz);
+            let rate = config.sample_rate_hz().round() as u16;
+            assert_eq!(rate, rate_hz);
+        }
+    }
 
     #[test]
     fn a_rate_that_the_sensor_lacks_is_refused_with_its_neighbours() {

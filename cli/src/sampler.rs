@@ -17,17 +17,26 @@ use embedded_hal::i2c::I2c;
 /// Failed bursts in a row after which the sensor counts as gone.
 const FAILURES_OF_A_LOSS: u8 = 100;
 
-/// Samples between two checks of the sensor's settings.
-const SAMPLES_TO_A_CHECK: u32 = 200;
+/// Time between two checks of the sensor's settings, µs: that of the firmware.
+const CHECK_PERIOD_US: u64 = 44_000;
+
+/// Sample that waits in the sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Edge {
+    /// Time, µs since any moment.
+    pub time_us: u64,
+    /// Samples since the previous edge that were not read.
+    pub skipped: u32,
+}
 
 /// Source of the samples' times.
 pub trait Edges {
-    /// Waits for the next sample, and returns its time, µs since any moment.
+    /// Waits for the next sample.
     ///
     /// # Errors
     ///
     /// Returns the reason if no sample comes, and what to do.
-    fn wait(&mut self) -> Result<u64, String>;
+    fn wait(&mut self) -> Result<Edge, String>;
 
     /// Returns whether the times are those of a clock, not of edges.
     fn is_polled(&self) -> bool;
@@ -52,8 +61,12 @@ pub struct Sampler<B, D, E> {
     recorder: Recorder<Bytes>,
     bytes: Bytes,
     failed: u8,
-    samples: u32,
-    was_reset: bool,
+    /// Samples lost since the last burst: skipped, or with a failed transfer.
+    missed: u32,
+    /// Time of the last check of the settings, µs.
+    checked_at_us: u64,
+    /// Result of that check, for the next burst.
+    checked: BoardFlags,
 }
 
 impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
@@ -80,6 +93,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
         let pipeline = Settings {
             part: sensor.part(),
             sensor: settings.config,
+            verifies_scales: true,
             ..settings.pipeline
         };
         let bytes = Bytes::default();
@@ -91,8 +105,9 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
             recorder: Recorder::new(bytes.clone(), Pipeline::new(&pipeline), 0),
             bytes,
             failed: 0,
-            samples: 0,
-            was_reset: false,
+            missed: 0,
+            checked_at_us: 0,
+            checked: BoardFlags::empty(),
         })
     }
 
@@ -103,10 +118,12 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
     ///
     /// Returns the reason if the sensor is gone.
     pub fn step(&mut self) -> Result<Option<Burst>, String> {
-        let captured_at_us = self.edges.wait()?;
-        let mut burst = match self.sensor.read_burst(captured_at_us) {
+        let edge = self.edges.wait()?;
+        self.missed = self.missed.saturating_add(edge.skipped);
+        let mut burst = match self.sensor.read_burst(edge.time_us) {
             Ok(burst) => burst,
             Err(error) => {
+                self.missed = self.missed.saturating_add(1);
                 self.failed = self.failed.saturating_add(1);
                 if self.failed >= FAILURES_OF_A_LOSS {
                     return Err(error.to_string());
@@ -114,29 +131,32 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
                 return Ok(None);
             }
         };
-        burst.missed_before = std::mem::take(&mut self.failed);
-        let mut flags = BoardFlags::empty();
-        flags.set(BoardFlags::BUS_FAULT, burst.missed_before > 0);
+        burst.missed_before = u8::try_from(std::mem::take(&mut self.missed)).unwrap_or(u8::MAX);
+        let mut flags = std::mem::take(&mut self.checked);
+        flags.set(BoardFlags::BUS_FAULT, std::mem::take(&mut self.failed) > 0);
         flags.set(BoardFlags::POLLED, self.edges.is_polled());
-        let was_reset = std::mem::take(&mut self.was_reset);
-        flags.set(BoardFlags::SENSOR_RESET, was_reset);
         let recorded = self.recorder.add(&burst, flags);
         recorded.map_err(|error| error.to_string())?;
-        self.samples += 1;
-        if self.samples.is_multiple_of(SAMPLES_TO_A_CHECK) {
+        let is_due = edge.time_us.abs_diff(self.checked_at_us) >= CHECK_PERIOD_US;
+        if is_due || self.recorder.awaits_scale_check() {
+            self.checked_at_us = edge.time_us;
             self.check_settings();
         }
         Ok(Some(burst))
     }
 
-    /// Reads the settings back, and restores them if the sensor has lost one.
+    /// Reads the settings back, and restores them if the sensor has lost one. A failed transfer
+    /// gives no result.
     fn check_settings(&mut self) {
-        // A failed transfer shows with the next burst too.
-        let settings = self.sensor.verify_config(&self.config);
-        if let Ok(SettingsState::Reset | SettingsState::Changed) = settings {
-            let restored = self.sensor.reconfigure(&self.config, &mut self.delay);
-            self.was_reset = restored.is_ok();
-            self.say("the sensor had lost its settings");
+        match self.sensor.verify_config(&self.config) {
+            Ok(SettingsState::Intact) => self.checked = BoardFlags::SCALES_VERIFIED,
+            Ok(SettingsState::Reset | SettingsState::Changed) => {
+                // If it fails, the next check finds the settings lost again.
+                let _ = self.sensor.reconfigure(&self.config, &mut self.delay);
+                self.checked = BoardFlags::SENSOR_RESET;
+                self.say("the sensor had lost its settings");
+            }
+            Err(_) => {}
         }
     }
 
@@ -188,8 +208,11 @@ mod ideal_bus;
 mod tests {
     use super::ideal_bus::IdealBus;
     use super::*;
+    use aplomb::health::Flags;
     use aplomb::mpu6050::Part;
     use aplomb_models::motion::rest::Rest;
+    use aplomb_models::motion::swing::Swing;
+    use aplomb_models::motion::{Motion, Quaternion, inclination_error_rad};
     use aplomb_models::sensor::SensorConfig;
     use aplomb_recordings::flight_log;
     use embedded_hal::i2c::{ErrorKind, ErrorType, NoAcknowledgeSource, Operation};
@@ -198,11 +221,15 @@ mod tests {
     struct Played(IdealBus);
 
     impl Edges for Played {
-        fn wait(&mut self) -> Result<u64, String> {
+        fn wait(&mut self) -> Result<Edge, String> {
             loop {
                 self.0.delay_us(50);
-                if let Some(edge) = self.0.take_edges().pop() {
-                    return Ok(edge.time_ns / 1_000);
+                let mut edges = self.0.take_edges();
+                if let Some(edge) = edges.pop() {
+                    return Ok(Edge {
+                        time_us: edge.time_ns / 1_000,
+                        skipped: edges.len() as u32,
+                    });
                 }
             }
         }
@@ -256,11 +283,20 @@ mod tests {
         settings: &SensorSettings,
         fails: F,
     ) -> Result<Sampled<F>, String> {
+        sampler_in(Rest::level(), address, settings, fails)
+    }
+
+    fn sampler_in<F: Fn(u32) -> bool>(
+        motion: impl Motion + 'static,
+        address: u8,
+        settings: &SensorSettings,
+        fails: F,
+    ) -> Result<Sampled<F>, String> {
         let config = SensorConfig {
             address,
             ..SensorConfig::new(1)
         };
-        let bus = IdealBus::new(config, Rest::level());
+        let bus = IdealBus::new(config, motion);
         let edges = Played(bus.clone());
         Sampler::new(Faulty(bus.clone(), 0, fails), bus, edges, settings)
     }
@@ -312,15 +348,104 @@ mod tests {
             let (sensor, now_ns) = &mut *model.0.borrow_mut();
             sensor.corrupt_register(*now_ns, 0x1B, 0);
         }
-        for _ in 0..=SAMPLES_TO_A_CHECK {
+        // 200 samples a second: the check is due after 44 ms.
+        let mut steps = 0;
+        while model.0.borrow().0.register(0x1B) == 0 {
             sampler.step().expect("it stays");
+            steps += 1;
         }
+        assert!(steps <= 10, "{steps} samples");
         assert_eq!(model.0.borrow().0.register(0x1B), 0x18);
+        sampler.step().expect("it stays");
         let log = flight_log::decode(&sampler.take_bytes()).expect("it is a flight log");
         assert_eq!(log.messages, ["the sensor had lost its settings"]);
         let flight = log.flight(None).expect("one flight");
         let last = log.steps(flight).expect("memory").last().expect("a step");
         assert!(last.numbered.flags.contains(BoardFlags::SENSOR_RESET));
+    }
+
+    /// A valid attitude is wrong by no more than the larger of 5° and six σ, also after the loss of
+    /// the full scale in motion.
+    #[test]
+    fn no_attitude_with_a_lost_full_scale_is_valid_and_wrong() {
+        for (divider, seed) in [(0, 1), (4, 1), (4, 2), (4, 3), (19, 1), (19, 2)] {
+            let mut settings = settings();
+            settings.config.sample_rate_divider = divider;
+            let swing = Swing::by_seed(seed, 4.0);
+            let found = sampler_in(swing.clone(), 0x68, &settings, |_| false);
+            let mut sampler = found.expect("it is found");
+            let model = sampler.edges.0.clone();
+            let mut losses_us = [6_000_000, 11_100_000, 17_300_000].into_iter().peekable();
+            loop {
+                let burst = sampler.step().expect("it stays").expect("no burst fails");
+                let now_us = burst.captured_at_us;
+                if losses_us.next_if(|at_us| now_us >= *at_us).is_some() {
+                    let (sensor, now_ns) = &mut *model.0.borrow_mut();
+                    sensor.corrupt_register(*now_ns, 0x1B, 0);
+                }
+                if now_us > 25_000_000 {
+                    break;
+                }
+            }
+            let log = flight_log::decode(&sampler.take_bytes()).expect("it is a flight log");
+            assert_eq!(log.messages.len(), 3, "divider {divider}, seed {seed}");
+            judge(&log, swing, &format!("divider {divider}, seed {seed}"));
+        }
+    }
+
+    /// Replays a log with this motion, and holds its valid attitudes to their promise.
+    fn judge(log: &flight_log::FlightLog, mut motion: impl Motion, case: &str) {
+        let flight = log.flight(None).expect("one flight");
+        let settings = flight.configuration.as_ref().expect("settings").settings;
+        let mut pipeline = Pipeline::new(&settings);
+        let (mut valid, mut count) = (0, 0);
+        for step in log.steps(flight).expect("memory") {
+            let burst = step.numbered.burst;
+            let snapshot = pipeline.update(&burst, step.numbered.flags);
+            count += 1;
+            if !snapshot.flags.contains(Flags::VALID) {
+                continue;
+            }
+            valid += 1;
+            let truth = motion.at(burst.captured_at_us as f64 * 1e-6).attitude;
+            let [w, x, y, z] = {
+                let q = snapshot.attitude;
+                [q.w, q.x, q.y, q.z].map(f64::from)
+            };
+            let attitude = Quaternion { w, x, y, z };
+            let error_rad = inclination_error_rad(attitude, truth.expect("a swing has one"));
+            let promised_rad = (6.0 * f64::from(snapshot.tilt_sigma_rad())).max(5_f64.to_radians());
+            assert!(
+                error_rad < promised_rad,
+                "{case}: {} µs, {:.1}° and valid",
+                burst.captured_at_us,
+                error_rad.to_degrees()
+            );
+        }
+        assert!(2 * valid > count, "{case}: {valid} of {count} are valid");
+    }
+
+    #[test]
+    fn samples_that_are_not_read_are_counted() {
+        let mut sampler = sampler(0x68, &settings(), |burst| burst == 60).expect("it is found");
+        let mut pauses = IdealBus::clone(&sampler.edges.0);
+        let mut missed = Vec::new();
+        for step in 0..100 {
+            if step == 30 {
+                // The program sleeps for four periods.
+                pauses.delay_ms(20);
+            }
+            if let Some(burst) = sampler.step().expect("it stays") {
+                missed.push(burst.missed_before);
+            }
+        }
+        let lost: Vec<_> = missed.iter().filter(|lost| **lost > 0).collect();
+        assert_eq!(lost, [&3, &1]);
+        let log = flight_log::decode(&sampler.take_bytes()).expect("it is a flight log");
+        let flight = log.flight(None).expect("one flight");
+        let steps = log.steps(flight).expect("memory");
+        let faults = steps.filter(|step| step.numbered.flags.contains(BoardFlags::BUS_FAULT));
+        assert_eq!(faults.count(), 1);
     }
 
     #[test]

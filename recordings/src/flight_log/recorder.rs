@@ -63,6 +63,12 @@ impl<W: Write> Recorder<W> {
         self.declination_rad = declination_rad;
     }
 
+    /// Returns whether the sensor's full scales have to be read back; see
+    /// [`Pipeline::awaits_scale_check`].
+    pub const fn awaits_scale_check(&self) -> bool {
+        self.pipeline.awaits_scale_check()
+    }
+
     /// Adds a burst with the conditions that the board reported, and returns the attitude at its
     /// time.
     ///
