@@ -1,12 +1,36 @@
 """Attitude from an inertial sensor: a Kalman filter with sigma and flags."""
 
 from os import PathLike
-from typing import Any, Literal, TypedDict
+from typing import Any, Final, Literal, TypedDict, overload, type_check_only
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __version__: str
+
+# Flags: `attitudes.flags & aplomb.GAP` is not zero where the time had a gap.
+CALIBRATING: Final = 0x1
+MOVED: Final = 0x2
+MISSED: Final = 0x4
+GAP: Final = 0x8
+TIME: Final = 0x10
+GYROSCOPE_SATURATED: Final = 0x20
+ACCELEROMETER_SATURATED: Final = 0x40
+FREE_FALL: Final = 0x80
+FROZEN: Final = 0x100
+REJECTED: Final = 0x200
+VALID: Final = 0x400
+DEGRADED: Final = 0x800
+STALE: Final = 0x1000
+BUS_FAULT: Final = 0x2000
+SENSOR_RESET: Final = 0x4000
+LATE: Final = 0x8000
+TEMPERATURE: Final = 0x10000
+POLLED: Final = 0x20000
+INTERNAL_CLOCK: Final = 0x40000
+HEADING_VALID: Final = 0x80000
+COMPASS_FAULT: Final = 0x100000
+VIBRATION: Final = 0x200000
 
 class Attitude:
     """Attitude at one sample: forward, right, down against north, east, down."""
@@ -63,6 +87,11 @@ class Attitudes:
     def heading_sigma_rad(self) -> NDArray[np.float32]: ...
     @property
     def yaw_offset_rad(self) -> NDArray[np.float32]: ...
+    @property
+    def is_valid(self) -> NDArray[np.bool_]: ...
+    @property
+    def is_heading_valid(self) -> NDArray[np.bool_]: ...
+    def __len__(self) -> int: ...
 
 class Kalman:
     """Kalman filter for the attitude of a body, with the sensor's mount."""
@@ -73,7 +102,7 @@ class Kalman:
         *,
         mount: str = "z-up",
         sensor_delay_us: int = 0,
-        accelerometer: Literal["factory", "six-poses", "calibrated"] = "calibrated",
+        accelerometer: Literal["factory", "six-poses", "calibrated"] | None = None,
         compass: Literal["factory", "hard-iron", "calibrated"] = "factory",
         compass_delay_us: int = 0,
         declination_deg: float = 0.0,
@@ -81,6 +110,16 @@ class Kalman:
     def update(
         self, t_us: int, gyro: Any, accel: Any, mag: Any | None = None, *, armed: bool = False
     ) -> Attitude: ...
+    @overload
+    def run(
+        self,
+        recording: Recording,
+        /,
+        *,
+        mag: ArrayLike | None = None,
+        armed: ArrayLike | None = None,
+    ) -> Attitudes: ...
+    @overload
     def run(
         self,
         t_us: ArrayLike,
@@ -108,8 +147,12 @@ class Recording:
     def scored(self) -> NDArray[np.bool_]: ...
     @property
     def armed(self) -> NDArray[np.bool_] | None: ...
+    @property
+    def accelerometer(self) -> Literal["factory", "six-poses", "calibrated"] | None: ...
+    def __len__(self) -> int: ...
 
-class AccelerometerCalibration(TypedDict):
+@type_check_only
+class _AccelerometerCalibration(TypedDict):
     offset_m_s2: NDArray[np.float32]
     matrix: NDArray[np.float32]
     residual_before_m_s2: float
@@ -128,4 +171,4 @@ def read_log(
 def simulate(
     kind: Literal["flight", "swing", "rest"] = "flight", *, seed: int = 1000, seconds: int = 60
 ) -> Recording: ...
-def calibrate_accelerometer(poses: ArrayLike) -> AccelerometerCalibration: ...
+def calibrate_accelerometer(poses: ArrayLike) -> _AccelerometerCalibration: ...

@@ -1,5 +1,7 @@
 //! The filter: sample by sample, and over arrays.
 
+use std::sync::{Mutex, PoisonError};
+
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider, unsigned};
 use library::attitude::{Quaternion, Vector3};
@@ -11,15 +13,13 @@ use library::health::Flags;
 use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings, Snapshot};
 use library::units::{MagneticField, radians};
-use numpy::ndarray::ArrayView2;
-use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods as _};
-use pyo3::exceptions::PyValueError;
+use numpy::{PyArray1, PyArray2, PyArrayLike1, PyArrayMethods as _};
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
+use crate::recording::Recording;
 use crate::times::{time_us, times_us};
-
-/// Array of rows of three numbers; any type of number is converted.
-pub type Vectors<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
+use crate::vectors::{Vectors, three, vector};
 
 /// Largest delay, µs: no low-pass filter or bus is slower.
 const LONGEST_DELAY_US: u32 = 1_000_000;
@@ -35,9 +35,10 @@ const LONGEST_DELAY_US: u32 = 1_000_000;
 ///     "z-up" (the default): the sensor lies face up and reads +9.81 m/s2 along z at rest.
 /// sensor_delay_us : int
 ///     Age of a sample's content at its time, 1,000,000 at most. Attitudes are extrapolated by it.
-/// accelerometer : str
+/// accelerometer : str, optional
 ///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated". A
-///     calibrated sensor has a calibrated gyroscope too.
+///     calibrated sensor has a calibrated gyroscope too. Without it the recording's statement
+///     counts, else "calibrated".
 /// compass : str
 ///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
 ///     turned), "hard-iron" (removed, as an earlier run found it) or "calibrated".
@@ -45,12 +46,18 @@ const LONGEST_DELAY_US: u32 = 1_000_000;
 ///     Age of the compass's readings against the samples of their rows, 1,000,000 at most.
 /// declination_deg : float
 ///     Declination of the place, east positive: the heading is then from true north.
-#[pyclass(module = "aplomb")]
+#[pyclass(module = "aplomb", frozen)]
 pub struct Kalman {
     settings: Settings,
-    knowledge: AccelerometerKnowledge,
+    knowledge: Option<AccelerometerKnowledge>,
     compass: Compass,
     has_rate: bool,
+    /// Filter of `update`. `run` has its own, so other threads may call both at a time.
+    single: Mutex<Single>,
+}
+
+/// Filter that takes sample by sample.
+struct Single {
     pipeline: CompassPipeline,
     plateaus: Plateaus,
 }
@@ -146,6 +153,10 @@ impl Attitude {
         Flags::from_bits_retain(self.flags).contains(Flags::HEADING_VALID)
     }
 
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(not_pickled("an Attitude", "keep the numbers that you need"))
+    }
+
     fn __repr__(&self) -> String {
         let [roll, pitch, yaw] = [self.roll_rad, self.pitch_rad, self.yaw_rad].map(f32::to_degrees);
         let flags = Flags::from_bits_retain(self.flags);
@@ -201,6 +212,38 @@ impl Attitudes {
         self.heading_column(python, 2)
     }
 
+    /// True where the tilt is wrong by no more than the larger of 5 degrees and six sigma: bool,
+    /// shape (n,). Computed at each access.
+    #[getter]
+    fn is_valid<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.have(python, Flags::VALID)
+    }
+
+    /// True where the heading is wrong by no more than the larger of 15 degrees and six sigma:
+    /// bool, shape (n,). Computed at each access.
+    #[getter]
+    fn is_heading_valid<'py>(&self, python: Python<'py>) -> Bound<'py, PyArray1<bool>> {
+        self.have(python, Flags::HEADING_VALID)
+    }
+
+    fn __len__(&self, python: Python<'_>) -> PyResult<usize> {
+        self.t_us.bind(python).len()
+    }
+
+    fn __repr__(&self, python: Python<'_>) -> PyResult<String> {
+        let valid = self.have(python, Flags::VALID).readonly();
+        let count = valid.as_array().len();
+        let valid = valid.as_array().iter().filter(|state| **state).count();
+        Ok(format!("Attitudes({count} rows, {valid} valid)"))
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(not_pickled(
+            "an Attitudes",
+            "save its arrays, with np.savez",
+        ))
+    }
+
     /// Roll, pitch, yaw, rad: float32, shape (n, 3). Computed at each access.
     #[getter]
     fn euler_rad<'py>(&self, python: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
@@ -217,6 +260,13 @@ impl Attitudes {
 }
 
 impl Attitudes {
+    /// Returns which rows have a flag.
+    fn have<'py>(&self, python: Python<'py>, flag: Flags) -> Bound<'py, PyArray1<bool>> {
+        let flags = self.flags.bind(python).readonly();
+        let has = |bits: &u32| Flags::from_bits_retain(*bits).contains(flag);
+        PyArray1::from_vec(python, flags.as_array().iter().map(has).collect())
+    }
+
     /// Returns a column of `headings`. A run without a compass pays for NaN only if asked.
     fn heading_column(&self, python: Python<'_>, place: usize) -> PyResult<Py<PyArray1<f32>>> {
         let column = self
@@ -235,14 +285,14 @@ impl Attitudes {
 impl Kalman {
     #[new]
     #[pyo3(signature = (
-        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer="calibrated",
+        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer=None,
         compass="factory", compass_delay_us=0, declination_deg=0.0
     ))]
     fn new(
         rate_hz: Option<f64>,
         mount: &str,
         sensor_delay_us: u32,
-        accelerometer: &str,
+        accelerometer: Option<&str>,
         compass: &str,
         compass_delay_us: u32,
         declination_deg: f32,
@@ -266,18 +316,28 @@ impl Kalman {
             }
             settings.sensor.sample_rate_divider = divider_of_period((1e6 / rate_hz) as u64);
         }
-        let knowledge = AccelerometerKnowledge::from_name(accelerometer).ok_or_else(|| {
-            PyValueError::new_err("accelerometer is factory, six-poses or calibrated")
-        })?;
+        let knowledge = accelerometer.map(|name| {
+            AccelerometerKnowledge::from_name(name).ok_or_else(|| {
+                PyValueError::new_err("accelerometer is factory, six-poses or calibrated")
+            })
+        });
+        let knowledge = knowledge.transpose()?;
         let compass = Compass::new(compass, compass_delay_us, declination_deg)?;
-        Ok(Self {
+        let single = Single {
             pipeline: compass.added_to(pipeline(&settings, knowledge)),
+            plateaus: Plateaus::default(),
+        };
+        Ok(Self {
             settings,
             knowledge,
             compass,
             has_rate: rate_hz.is_some(),
-            plateaus: Plateaus::default(),
+            single: Mutex::new(single),
         })
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(not_pickled("a Kalman", "make one with the same arguments"))
     }
 
     /// Processes one sample: rad/s and m/s2 in the sensor's axes. Returns the attitude at its time.
@@ -289,11 +349,11 @@ impl Kalman {
     /// use it. `armed` is True in flight: the filter then takes no steady motion for a rest.
     #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=false))]
     fn update(
-        &mut self,
+        &self,
         t_us: &Bound<'_, PyAny>,
-        gyro: [f64; 3],
-        accel: [f64; 3],
-        mag: Option<[f64; 3]>,
+        gyro: &Bound<'_, PyAny>,
+        accel: &Bound<'_, PyAny>,
+        mag: Option<&Bound<'_, PyAny>>,
         armed: bool,
     ) -> PyResult<Attitude> {
         if !self.has_rate {
@@ -302,16 +362,21 @@ impl Kalman {
             ));
         }
         let t_us = time_us(t_us)?;
+        let (gyro, accel) = (three(gyro, "gyro")?, three(accel, "accel")?);
+        let mag = mag.map(|mag| three(mag, "mag")).transpose()?;
         let mount = self.settings.mount();
-        let sample = sample(mount, &mut self.plateaus, t_us, gyro, accel);
-        self.pipeline.pipeline_mut().set_armed(armed);
-        let snapshot = self.pipeline.update_sample(&sample);
+        // No thread waits here: each holds the interpreter's lock meanwhile.
+        let mut single = self.single.lock().unwrap_or_else(PoisonError::into_inner);
+        let Single { pipeline, plateaus } = &mut *single;
+        let sample = sample(mount, plateaus, t_us, gyro, accel);
+        pipeline.pipeline_mut().set_armed(armed);
+        let snapshot = pipeline.update_sample(&sample);
         if let Some(reading) = mag {
-            self.compass.update(&mut self.pipeline, reading);
+            self.compass.update(pipeline, reading);
         }
         let (q, rates) = (snapshot.attitude, snapshot.body_rates_rad_s);
-        let bias = self.pipeline.pipeline().kalman().bias_rad_s();
-        let (angles, heading) = (snapshot.euler(), self.pipeline.heading());
+        let bias = pipeline.pipeline().kalman().bias_rad_s();
+        let (angles, heading) = (snapshot.euler(), pipeline.heading());
         Ok(Attitude {
             t_us,
             quaternion: (q.w, q.x, q.y, q.z),
@@ -333,8 +398,10 @@ impl Kalman {
     ///
     /// Parameters
     /// ----------
-    /// t_us : array (n,)
+    /// t_us : array (n,) or Recording
     ///     Times, whole microseconds. Seconds, milliseconds in float, and datetime64 are refused.
+    ///     A recording has the other columns too, and what is known of its accelerometer:
+    ///     `Kalman().run(recording)` gives the bits of `aplomb replay`.
     /// gyro : array (n, 3)
     ///     Angular rates in the sensor's axes, rad/s.
     /// accel : array (n, 3)
@@ -344,27 +411,30 @@ impl Kalman {
     /// armed : array (n,) of bool, optional
     ///     True in flight: the filter then takes no steady motion for a rest, and measures
     ///     nothing at a rest. Without it, the filter is never armed.
-    #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=None))]
+    #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(
         &self,
         python: Python<'py>,
-        t_us: &Bound<'py, PyAny>,
-        gyro: Vectors<'py>,
-        accel: Vectors<'py>,
-        mag: Option<Vectors<'py>>,
-        armed: Option<&Bound<'py, PyAny>>,
+        t_us: Bound<'py, PyAny>,
+        gyro: Option<Bound<'py, PyAny>>,
+        accel: Option<Bound<'py, PyAny>>,
+        mag: Option<Bound<'py, PyAny>>,
+        armed: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Attitudes> {
-        let times = times_us(t_us)?;
-        check_shape(&gyro, "gyro", times.len())?;
-        check_shape(&accel, "accel", times.len())?;
-        if let Some(mag) = &mag {
-            check_shape(mag, "mag", times.len())?;
-        }
-        let armed = armed.map(|armed| states(armed, times.len())).transpose()?;
-        let mut run = Run::new(self, &times, mag.is_some());
-        let (gyro, accel) = (gyro.as_array(), accel.as_array());
-        let mag = mag.as_ref().map(|mag| mag.as_array());
+        let input = Input::new(python, t_us, [gyro, accel, mag, armed])?;
+        let times = times_us(&input.t_us)?;
+        let count = times.len();
+        let gyro = Vectors::of_count(&input.gyro, "gyro", count)?;
+        let accel = Vectors::of_count(&input.accel, "accel", count)?;
+        let mag = (input.mag.as_ref()).map(|mag| Vectors::of_count(mag, "mag", count));
+        let mag = mag.transpose()?;
+        let armed = (input.armed.as_ref()).map(|armed| states(armed, count));
+        let armed = armed.transpose()?;
+        let knowledge = self.knowledge.or(input.knowledge);
+        let mut run = Run::new(self, knowledge, &times, mag.is_some());
+        let (gyro, accel) = (gyro.view(), accel.view());
+        let mag = mag.as_ref().map(Vectors::view);
         for first in (0..times.len()).step_by(BLOCK_ROWS) {
             let block = first..times.len().min(first + BLOCK_ROWS);
             // Other threads may change the arrays as soon as the lock is free.
@@ -383,8 +453,72 @@ impl Kalman {
                 run.readings.extend(block.map(|row| vector(mag, row)));
             }
             python.detach(|| run.process());
+            // Ctrl-C.
+            python.check_signals()?;
         }
         run.columns.into_arrays(python, times)
+    }
+}
+
+/// Arguments of a run, or the columns of a recording.
+struct Input<'py> {
+    t_us: Bound<'py, PyAny>,
+    gyro: Bound<'py, PyAny>,
+    accel: Bound<'py, PyAny>,
+    mag: Option<Bound<'py, PyAny>>,
+    armed: Option<Bound<'py, PyAny>>,
+    /// Knowledge of the accelerometer that the recording states.
+    knowledge: Option<AccelerometerKnowledge>,
+}
+
+impl<'py> Input<'py> {
+    fn new(
+        python: Python<'py>,
+        t_us: Bound<'py, PyAny>,
+        [gyro, accel, mag, armed]: [Option<Bound<'py, PyAny>>; 4],
+    ) -> PyResult<Self> {
+        if let Ok(recording) = t_us.cast::<Recording>() {
+            if gyro.is_some() || accel.is_some() {
+                return Err(PyTypeError::new_err(
+                    "gyro and accel are those of the recording: pass the recording alone",
+                ));
+            }
+            return Ok(recording.get().input(python, mag, armed));
+        }
+        let (Some(gyro), Some(accel)) = (gyro, accel) else {
+            return Err(PyTypeError::new_err(
+                "run takes a recording, or t_us, gyro and accel",
+            ));
+        };
+        Ok(Self {
+            t_us,
+            gyro,
+            accel,
+            mag,
+            armed,
+            knowledge: None,
+        })
+    }
+}
+
+impl Recording {
+    /// Returns the columns for a run. These readings and states have precedence.
+    fn input<'py>(
+        &self,
+        python: Python<'py>,
+        mag: Option<Bound<'py, PyAny>>,
+        armed: Option<Bound<'py, PyAny>>,
+    ) -> Input<'py> {
+        let own_mag = self.mag.as_ref();
+        let own_armed = self.armed.as_ref();
+        Input {
+            t_us: self.t_us.bind(python).clone().into_any(),
+            gyro: self.gyro.bind(python).clone().into_any(),
+            accel: self.accel.bind(python).clone().into_any(),
+            mag: mag.or_else(|| own_mag.map(|mag| mag.bind(python).clone().into_any())),
+            armed: armed.or_else(|| own_armed.map(|armed| armed.bind(python).clone().into_any())),
+            knowledge: (self.accelerometer).and_then(AccelerometerKnowledge::from_name),
+        }
     }
 }
 
@@ -407,7 +541,12 @@ struct Run {
 }
 
 impl Run {
-    fn new(kalman: &Kalman, times: &[i64], has_compass: bool) -> Self {
+    fn new(
+        kalman: &Kalman,
+        knowledge: Option<AccelerometerKnowledge>,
+        times: &[i64],
+        has_compass: bool,
+    ) -> Self {
         let mut settings = kalman.settings;
         if !kalman.has_rate {
             let first = times.len().min(ROWS_AHEAD);
@@ -416,7 +555,7 @@ impl Run {
         Self {
             mount: settings.mount(),
             compass: kalman.compass,
-            pipeline: (kalman.compass).added_to(pipeline(&settings, kalman.knowledge)),
+            pipeline: (kalman.compass).added_to(pipeline(&settings, knowledge)),
             plateaus: Plateaus::default(),
             columns: Columns::with_capacity(times.len(), has_compass),
             samples: Vec::with_capacity(BLOCK_ROWS.min(times.len())),
@@ -511,14 +650,21 @@ fn table<const COLUMNS: usize>(
     Ok(array.reshape(shape)?.unbind())
 }
 
+/// Returns the error for what can be neither pickled nor copied.
+pub fn not_pickled(what: &str, instead: &str) -> PyErr {
+    PyTypeError::new_err(format!("{what} cannot be pickled or copied: {instead}"))
+}
+
 /// Returns the names of flags, such as "VALID|DEGRADED".
 #[pyfunction]
 pub fn flag_names(flags: u32) -> String {
     Flags::from_bits_truncate(flags).to_string()
 }
 
-fn pipeline(settings: &Settings, knowledge: AccelerometerKnowledge) -> Pipeline {
+/// Returns a pipeline. Without a statement the samples count as calibrated.
+fn pipeline(settings: &Settings, knowledge: Option<AccelerometerKnowledge>) -> Pipeline {
     let mut pipeline = Pipeline::new(settings);
+    let knowledge = knowledge.unwrap_or(AccelerometerKnowledge::Calibrated);
     pipeline.set_accelerometer_knowledge(knowledge);
     pipeline
 }
@@ -540,18 +686,6 @@ fn sample(
     sample
 }
 
-/// Checks that an array has the shape (`count`, 3).
-fn check_shape(array: &Vectors<'_>, name: &str, count: usize) -> PyResult<()> {
-    check_columns(array, name)?;
-    let rows = array.as_array().nrows();
-    if rows == count {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!(
-        "t_us has {count} rows and {name} {rows}: they need equal numbers"
-    )))
-}
-
 /// Returns the armed states of `count` rows.
 fn states(armed: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<bool>> {
     let Ok(array) = armed.extract::<PyArrayLike1<'_, bool>>() else {
@@ -567,25 +701,4 @@ fn states(armed: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<bool>> {
         "t_us has {count} rows and armed {}: they need equal numbers",
         states.len()
     )))
-}
-
-fn check_columns(array: &Vectors<'_>, name: &str) -> PyResult<()> {
-    match array.as_array().ncols() {
-        3 => Ok(()),
-        columns => Err(PyValueError::new_err(format!(
-            "{name} has {columns} columns and needs three: x, y, z"
-        ))),
-    }
-}
-
-/// Returns a row of an array of shape (n, 3).
-fn vector(array: ArrayView2<'_, f64>, row: usize) -> [f64; 3] {
-    [array[(row, 0)], array[(row, 1)], array[(row, 2)]]
-}
-
-/// Returns the rows of an array of shape (n, 3).
-pub fn rows(array: &Vectors<'_>, name: &str) -> PyResult<Vec<[f64; 3]>> {
-    check_columns(array, name)?;
-    let view = array.as_array();
-    Ok((0..view.nrows()).map(|row| vector(view, row)).collect())
 }

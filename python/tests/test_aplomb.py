@@ -3,12 +3,18 @@
 APLOMB names the program; APLOMB_LOGS, if it is set, a folder of recordings.
 """
 
+import ast
+import copy
 import csv
+import gzip
 import os
 import pathlib
+import pickle
 import subprocess
+import sys
 import threading
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -33,9 +39,7 @@ def replay(path, tmp_path, *options):
 
 def assert_same(path, tmp_path, *options, **settings):
     recording = aplomb.read_log(path)
-    attitudes = aplomb.Kalman(**settings).run(
-        recording.t_us, recording.gyro, recording.accel, recording.mag, armed=recording.armed
-    )
+    attitudes = aplomb.Kalman(**settings).run(recording)
     quaternion, flags, expected = replay(path, tmp_path, *options)
     assert attitudes.quaternion.dtype == np.float32
     assert np.array_equal(attitudes.quaternion.view(np.uint32), quaternion.view(np.uint32))
@@ -77,14 +81,25 @@ def log_with_compass(log, tmp_path):
 
 
 def test_a_recording_gives_the_bits_of_replay(log, tmp_path):
-    # The recording states that its sensor is a factory one: an option has precedence.
-    calibrated = ["--accelerometer", "calibrated"]
+    # The recording states that its sensor is a factory one.
     recording, attitudes = assert_same(
-        log, tmp_path, *calibrated, "--sensor-delay-us", "1900", sensor_delay_us=1900
+        log, tmp_path, "--sensor-delay-us", "1900", sensor_delay_us=1900
     )
-    assert attitudes.euler_rad.shape == attitudes.rates_rad_s.shape == (len(recording.t_us), 3)
-    assert_same(log, tmp_path, *calibrated, "--mount", "+y+z", mount="+y+z")
-    assert_same(log, tmp_path, accelerometer="factory")
+    assert recording.accelerometer == "factory" == aplomb.simulate(seconds=1).accelerometer
+    assert attitudes.euler_rad.shape == attitudes.rates_rad_s.shape == (len(recording), 3)
+    assert_same(log, tmp_path, "--mount", "+y+z", mount="+y+z")
+    # An option has precedence, and arrays state nothing.
+    options = ["--accelerometer", "calibrated"]
+    _, calibrated = assert_same(log, tmp_path, *options, accelerometer="calibrated")
+    arrays = aplomb.Kalman().run(recording.t_us, recording.gyro, recording.accel)
+    assert np.array_equal(arrays.quaternion, calibrated.quaternion)
+    columns = log.read_bytes()
+    plain = tmp_path / "plain.csv"
+    rows = gzip.decompress(columns).decode().splitlines(keepends=True)
+    plain.write_text("".join(row for row in rows if not row.startswith("#")))
+    assert aplomb.read_log(plain).accelerometer is None
+    _, unstated = assert_same(plain, tmp_path)
+    assert np.array_equal(unstated.quaternion, calibrated.quaternion)
 
 
 def test_an_armed_recording_gives_the_bits_of_replay(log_with_compass, tmp_path):
@@ -135,7 +150,8 @@ def test_a_compass_gives_the_heading_of_replay(log_with_compass, log, tmp_path):
         log_with_compass, tmp_path, *options, compass_delay_us=5000, declination_deg=3.5
     )
     known = np.isfinite(attitudes.heading_rad)
-    valid = (attitudes.flags & 1 << 19) != 0
+    valid = (attitudes.flags & aplomb.HEADING_VALID) != 0
+    assert np.array_equal(valid, attitudes.is_heading_valid)
     assert known.sum() > 5_000 and 0 < valid.sum() <= known.sum()
     assert_same(log_with_compass, tmp_path, "--compass", "calibrated", compass="calibrated")
     # Without readings there is no heading, and the attitude is the same.
@@ -323,7 +339,8 @@ def test_read_log_converts_units_and_its_messages_name_the_arguments(tmp_path):
     path.write_text(path.read_text() + "5,6\n")
     with pytest.raises(ValueError, match='bad_rows="skip" leaves such rows out'):
         aplomb.read_log(path)
-    assert len(aplomb.read_log(path, bad_rows="skip").t_us) == len(recording.t_us)
+    with pytest.warns(UserWarning, match="1 bad rows"):
+        assert len(aplomb.read_log(path, bad_rows="skip")) == len(recording)
     for arguments in ({"time_unit": "min"}, {"bad_rows": "keep"}, {"field_unit": "g"}):
         with pytest.raises(ValueError, match=f"{next(iter(arguments))}: choose one of"):
             aplomb.read_log(path, **arguments)
@@ -367,12 +384,170 @@ def test_what_is_wrong_is_named(tmp_path):
         (lambda: aplomb.Kalman(sensor_delay_us=1_000_001), "sensor_delay_us has to be 1000000"),
         (lambda: aplomb.Kalman(compass_delay_us=2**31), "compass_delay_us has to be 1000000"),
         (lambda: aplomb.calibrate_accelerometer(np.eye(3)), "multiply by 9.80665"),
+        (lambda: aplomb.calibrate_accelerometer(np.eye(3) * 1000), "of mg multiply by 0.00980665"),
+        (lambda: aplomb.calibrate_accelerometer(np.eye(3) * 2048), "has the length 2048"),
+        (lambda: aplomb.calibrate_accelerometer(np.eye(3)[0]), "poses has the shape (3,)"),
+        (lambda: aplomb.Kalman().run(np.arange(5), zero.ravel(), zero), "gyro has the shape (15,)"),
+        (lambda: aplomb.Kalman().run(np.arange(5), zero, zero[None]), "accel has the shape (1, 5,"),
+        (lambda: aplomb.Kalman().run(np.arange(5), zero, [["a"] * 3] * 5), "accel cannot be"),
+        (lambda: aplomb.Kalman(100).update(0, [0, 0], [0, 0, 9.8]), "gyro needs three numbers"),
+        (lambda: aplomb.Kalman(100).update(0, zero[0], [0, 0, 9.8], 5), "mag needs three numbers"),
         (lambda: aplomb.simulate("dance"), "flight, swing or rest"),
         (lambda: aplomb.read_log(tmp_path / "none.csv"), "none.csv"),
     ]:
         with pytest.raises(ValueError, match=None) as error:
             call()
         assert reason in str(error.value)
+
+
+def test_warnings_of_read_log_are_those_of_python(tmp_path, capfd):
+    recording = aplomb.simulate("rest", seconds=1)
+    head = "t_us,ax,ay,az,gx,gy,gz"
+
+    def log(head, end="", time=1, bad=""):
+        path = tmp_path / "warned.csv"
+        rows = [head]
+        for t_us, accel, gyro in zip(recording.t_us, recording.accel, recording.gyro):
+            rows.append(",".join(map(str, [t_us * time, *accel, *gyro])) + end)
+        path.write_text("\n".join(rows) + "\n" + bad)
+        return path
+
+    for make, arguments, reason in [
+        (lambda: log(head + ",mx,my,mz", ",200,0,440"), {}, 'is mG, add field_unit="mG"'),
+        (lambda: log(head + ",temp", ",7"), {}, "columns that are not used"),
+        (lambda: log(head, bad="5,6\n"), {"bad_rows": "skip"}, "1 bad rows are left out"),
+        (lambda: log(head, time=1000), {"time_unit": "us"}, "usual: check time_unit"),
+    ]:
+        path = make()
+        with pytest.warns(UserWarning) as found:
+            aplomb.read_log(path, **arguments)
+        texts = [str(warning.message) for warning in found]
+        assert any(reason in text for text in texts), texts
+        assert all("--" not in text and not text.startswith("warning") for text in texts)
+        assert found[0].filename == __file__
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(UserWarning):
+                aplomb.read_log(path, **arguments)
+    path = log(head)
+    scaled = path.read_text().splitlines()
+    rows = [row.split(",") for row in scaled[1:]]
+    counts = [[row[0], *(str(float(cell) * 209) for cell in row[1:])] for row in rows]
+    path.write_text("\n".join([head, *map(",".join, counts)]) + "\n")
+    with pytest.raises(ValueError, match="register counts .multiply them by") as error:
+        aplomb.read_log(path)
+    assert "--" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_flags_have_names_and_arrays():
+    attitudes = aplomb.Kalman().run(aplomb.simulate(seconds=5))
+    valid = attitudes.is_valid
+    assert valid.dtype == np.bool_ and 0 < valid.sum() < len(valid)
+    assert np.array_equal(valid, attitudes.flags & aplomb.VALID != 0)
+    assert not attitudes.is_heading_valid.any()
+    for bit in range(22):
+        name = aplomb.flag_names(1 << bit)
+        assert getattr(aplomb, name) == 1 << bit
+    assert aplomb.flag_names(1 << 22) == ""
+
+
+def test_the_stub_names_what_the_module_has():
+    stub = ast.parse((pathlib.Path(__file__).parents[1] / "aplomb.pyi").read_text())
+    named = {}
+    for node in stub.body:
+        if isinstance(node, ast.AnnAssign):
+            named[node.target.id] = node.value and node.value.value
+        elif isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+            named[node.name] = None
+    public = {name for name in named if not name.startswith("_")}
+    found = {name for name in dir(aplomb) if not name.startswith("_")} - {"aplomb"}
+    assert public == found
+    for name, value in named.items():
+        assert value is None or getattr(aplomb, name) == value, name
+
+
+def test_rows_are_counted_shown_and_not_pickled():
+    recording = aplomb.simulate(seconds=2)
+    attitudes = aplomb.Kalman().run(recording)
+    assert len(recording) == len(attitudes) == len(recording.t_us)
+    assert repr(recording) == "Recording(2000 rows, 2.0 s)"
+    valid = attitudes.is_valid.sum()
+    assert repr(attitudes) == f"Attitudes(2000 rows, {valid} valid)"
+    single = aplomb.Kalman(rate_hz=1000)
+    attitude = single.update(0, [0, 0, 0], [0, 0, 9.8])
+    for value in (recording, attitudes, single, attitude):
+        for call in (pickle.dumps, copy.copy, copy.deepcopy):
+            with pytest.raises(TypeError, match="cannot be pickled or copied: "):
+                call(value)
+
+
+def test_a_recording_and_its_columns_are_not_mixed():
+    recording = aplomb.simulate(seconds=1)
+    with pytest.raises(TypeError, match="pass the recording alone"):
+        aplomb.Kalman().run(recording, recording.gyro, recording.accel)
+    with pytest.raises(TypeError, match="a recording, or t_us, gyro and accel"):
+        aplomb.Kalman().run(recording.t_us)
+    # States of one's own have precedence.
+    armed = np.ones(len(recording), dtype=bool)
+    found = aplomb.Kalman().run(recording, armed=armed)
+    assert not np.array_equal(found.tilt_sigma_rad, aplomb.Kalman().run(recording).tilt_sigma_rad)
+
+
+INTERRUPTED = """
+import _thread, sys, threading, time
+import numpy as np
+import aplomb
+
+count = 2_000_000
+zero = np.zeros((count, 3), np.float32)
+force = zero + np.float32([0, 0, 9.8])
+t_us = np.arange(count) * 1000
+calls = {
+    "simulate": lambda: aplomb.simulate(seconds=86_400),
+    "run": lambda: [aplomb.Kalman().run(t_us, zero, force) for _ in range(100)],
+}
+ticks = 0
+
+def interrupt():
+    global ticks, sent
+    end = time.perf_counter() + 0.5
+    while time.perf_counter() < end:
+        time.sleep(0.01)
+        ticks += 1
+    sent = time.perf_counter()
+    _thread.interrupt_main()
+
+threading.Thread(target=interrupt).start()
+try:
+    calls[sys.argv[1]]()
+except KeyboardInterrupt:
+    print(time.perf_counter() - sent, ticks)
+"""
+
+
+@pytest.mark.parametrize("call", ["simulate", "run"])
+def test_ctrl_c_ends_a_long_call(call):
+    result = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, call], capture_output=True, text=True, timeout=300
+    )
+    assert result.returncode == 0 and not result.stderr, result.stderr
+    delay_s, ticks = result.stdout.split()
+    assert float(delay_s) < 1 and int(ticks) > 10, result.stdout
+
+
+def test_update_works_during_a_run_in_another_thread():
+    count = 300_000
+    zero = np.zeros((count, 3))
+    filter = aplomb.Kalman(rate_hz=1000)
+    arguments = (np.arange(count) * 1000, zero, zero + [0, 0, 9.8])
+    run = threading.Thread(target=filter.run, args=arguments)
+    run.start()
+    updates = 0
+    while run.is_alive():
+        attitude = filter.update(updates * 1000, [0, 0, 0], [0, 0, 9.8])
+        updates += 1
+    assert updates > 10 and attitude.t_us == (updates - 1) * 1000
 
 
 def test_wild_values_give_finite_attitudes():

@@ -49,6 +49,8 @@ pub struct Lines {
     order: Option<(Order, String)>,
     /// Knowledge of the accelerometer that a comment states.
     accelerometer: Option<AccelerometerKnowledge>,
+    /// Warnings and notes, if they are collected.
+    notices: Option<Vec<String>>,
 }
 
 impl Lines {
@@ -112,7 +114,29 @@ impl Lines {
             number: 0,
             order: None,
             accelerometer: None,
+            notices: None,
         })
+    }
+
+    /// Collects warnings and notes from now on, instead of printing them on standard error.
+    pub(crate) fn collect_notices(&mut self) {
+        self.notices = Some(Vec::new());
+    }
+
+    /// Returns the warnings and notes that were collected.
+    pub(crate) fn take_notices(&mut self) -> Vec<String> {
+        self.notices
+            .as_mut()
+            .map(std::mem::take)
+            .unwrap_or_default()
+    }
+
+    /// Prints a warning or a note on standard error, or collects it.
+    pub(crate) fn notify(&mut self, kind: &str, text: String) {
+        match &mut self.notices {
+            Some(notices) => notices.push(text),
+            None => eprintln!("{kind}: {text}"),
+        }
     }
 
     /// Returns the next line that is not blank, without its end; `None` after the last.
@@ -157,11 +181,12 @@ impl Lines {
         Ok(self.order.as_ref().map(|(_, arranged)| arranged.as_str()))
     }
 
-    /// Sets the order of the columns of the next lines. Reports on standard error which are unused.
+    /// Sets the order of the columns of the next lines. Reports which are unused.
     pub(crate) fn set_order(&mut self, order: Order) {
         if !order.unused.is_empty() {
             let names = quote(&order.unused.join(","));
-            eprintln!("note: {}: columns that are not used: {names}", self.name());
+            let text = format!("{}: columns that are not used: {names}", self.name());
+            self.notify("note", text);
         }
         self.order = Some((order, String::new()));
     }

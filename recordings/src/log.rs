@@ -22,6 +22,8 @@
 
 use std::path::Path;
 
+use aplomb::estimator::kalman::AccelerometerKnowledge;
+
 pub use crate::fault::{LogError, LogFault};
 use crate::form::header;
 pub use crate::lines::{ACCELEROMETER_COMMENT, Lines};
@@ -33,6 +35,7 @@ use crate::units::{BadRows, RowOptions};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
     rows: Vec<Row>,
+    accelerometer: Option<AccelerometerKnowledge>,
 }
 
 impl Log {
@@ -52,7 +55,26 @@ impl Log {
     ///
     /// Returns an error with the file, the line and the fault.
     pub fn read_with(path: &Path, options: RowOptions) -> Result<Self, LogError> {
-        Self::parse(Lines::open(path, |file| file)?, options)
+        let (log, _) = Self::parse(Lines::open(path, |file| file)?, options)?;
+        Ok(log)
+    }
+
+    /// Reads a file like [`read_with`](Self::read_with). Returns the warnings and notes on it,
+    /// which the others print on standard error.
+    ///
+    /// # Errors
+    ///
+    /// Returns an error with the file, the line and the fault.
+    pub fn read_quietly(path: &Path, options: RowOptions) -> Result<(Self, Vec<String>), LogError> {
+        let mut lines = Lines::open(path, |file| file)?;
+        lines.collect_notices();
+        Self::parse(lines, options)
+    }
+
+    /// Returns the knowledge of the accelerometer that the log states.
+    #[must_use]
+    pub fn accelerometer(&self) -> Option<AccelerometerKnowledge> {
+        self.accelerometer
     }
 
     /// Returns the rows, at least two, with increasing times.
@@ -61,7 +83,8 @@ impl Log {
         &self.rows
     }
 
-    fn parse(mut lines: Lines, mut options: RowOptions) -> Result<Self, LogError> {
+    /// Reads all rows. Returns the notices too, if the lines collect them.
+    fn parse(mut lines: Lines, mut options: RowOptions) -> Result<(Self, Vec<String>), LogError> {
         if options.bad_rows == Some(BadRows::Keep) {
             options.bad_rows = Some(BadRows::Refuse);
         }
@@ -70,6 +93,7 @@ impl Log {
             return Err(lines.refuse(LogFault::Header(header)));
         };
         let whole = lines.refuse_file(LogFault::TooShort);
+        let accelerometer = lines.accelerometer();
         let mut reader = Rows::new(lines, columns, options, false)?;
         let mut rows: Vec<Row> = Vec::new();
         while let Some(row) = reader.next_row()? {
@@ -78,7 +102,11 @@ impl Log {
         if rows.len() < 2 {
             return Err(whole);
         }
-        Ok(Self { rows })
+        let log = Self {
+            rows,
+            accelerometer,
+        };
+        Ok((log, reader.take_notices()))
     }
 }
 
@@ -104,6 +132,7 @@ mod tests {
             .and_then(|lines| {
                 Log::parse(lines, RowOptions::default()).map_err(|error| (error.line, error.reason))
             })
+            .map(|(log, _)| log)
     }
 
     /// Returns the line and the reason of the refusal of a log whose third line is `row`.

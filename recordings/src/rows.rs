@@ -81,7 +81,7 @@ impl Rows {
         let time_warning = rows.judge.time_warning(first.clone());
         let field_warning = rows.judge.field_warning(first);
         for warning in time_warning.into_iter().chain(field_warning) {
-            eprintln!("warning: {}: {warning}", rows.lines.name());
+            rows.warn(&warning);
         }
         Ok(rows)
     }
@@ -143,12 +143,23 @@ impl Rows {
 
     /// Reports what was left out, and judges the recording as a whole after its last row.
     fn end(&mut self) -> Result<(), LogError> {
-        self.warn();
+        self.report_skipped();
         let judged = self.judge.end();
         if let Some(warning) = judged.map_err(|fault| self.lines.refuse_file(fault))? {
-            eprintln!("warning: {}: {warning}", self.lines.name());
+            self.warn(&warning);
         }
         Ok(())
+    }
+
+    /// Reports a warning on the whole file.
+    fn warn(&mut self, warning: &str) {
+        let text = format!("{}: {warning}", self.lines.name());
+        self.lines.notify("warning", text);
+    }
+
+    /// Returns the warnings and notes that [`Lines::collect_notices`] has collected.
+    pub(crate) fn take_notices(&mut self) -> Vec<String> {
+        self.lines.take_notices()
     }
 
     /// Returns the error of the last row, for this reason.
@@ -199,7 +210,8 @@ impl Rows {
                 },
                 Ok(None) => return Ok(None),
                 Err(error) if skips && error.reason.is_cut_off() => {
-                    eprintln!("warning: {error}: the rows before the cut are used");
+                    let text = format!("{error}: the rows before the cut are used");
+                    self.lines.notify("warning", text);
                     return Ok(None);
                 }
                 Err(error) => error,
@@ -216,11 +228,12 @@ impl Rows {
         let (time_us, has_wrapped) = wraps.count(row.time_us);
         row.time_us = time_us;
         if has_wrapped && !std::mem::replace(&mut self.has_wrapped, true) {
-            eprintln!(
-                "note: {}: t_us begins again, as a clock of 32 bits does after 71.6 minutes: it \
-                 is counted on",
+            let text = format!(
+                "{}: t_us begins again, as a clock of 32 bits does after 71.6 minutes: it is \
+                 counted on",
                 self.lines.place()
             );
+            self.lines.notify("note", text);
         }
         row
     }
@@ -265,15 +278,13 @@ impl Rows {
         false
     }
 
-    /// Reports once, on standard error, what was left out.
-    fn warn(&mut self) {
+    /// Reports once which rows were left out.
+    fn report_skipped(&mut self) {
         if let Some(first) = &self.first_skipped
             && !std::mem::replace(&mut self.has_warned, true)
         {
-            eprintln!(
-                "warning: {} bad rows are left out; the first: {first}",
-                self.skipped
-            );
+            let text = format!("{} bad rows are left out; the first: {first}", self.skipped);
+            self.lines.notify("warning", text);
         }
     }
 }
