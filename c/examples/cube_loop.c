@@ -4,28 +4,51 @@
  * the INT pin calls attitude_edge. */
 #include "cube_loop.h"
 
+#include <string.h>
+
 #include "aplomb.h"
 #include "hal.h"
 
 #define SENSOR (0x68 << 1)
 #define DATA 0x3B
+#define FIRST_SETTING 0x19 /* rate, low-pass filter, both ranges */
+#define SETTINGS 4
+#define BURSTS_TO_CHECK 44
 
 static AplombPipeline pipeline;
+static AplombSettings settings;
+static uint8_t wanted[SETTINGS];
 static volatile uint64_t edge_us;
-static volatile bool has_edge;
+static volatile uint32_t edges;
+/* Number of the last edge that was handled, and of the last one with a burst. */
+static uint32_t handled, read_last;
 
-/* Configures the sensor. Returns false if it does not answer. */
-bool attitude_start(void)
+/* Writes the settings to the sensor. Returns false if it does not answer. */
+static bool configure(void)
 {
-    AplombSettings settings = aplomb_default_settings();
     AplombStep step;
     for (uint32_t i = 0; aplomb_configuration_step(&settings, i, &step) == APLOMB_STATUS_OK; i++) {
         if (HAL_I2C_Mem_Write(&hi2c1, SENSOR, step.register_address, 1, &step.value, 1, 10) !=
             HAL_OK) {
             return false;
         }
+        if (step.register_address >= FIRST_SETTING &&
+            step.register_address < FIRST_SETTING + SETTINGS) {
+            wanted[step.register_address - FIRST_SETTING] = step.value;
+        }
         HAL_Delay(step.wait_ms);
     }
+    return true;
+}
+
+/* Configures the sensor. Returns false if it does not answer. */
+bool attitude_start(void)
+{
+    settings = aplomb_default_settings();
+    if (!configure()) {
+        return false;
+    }
+    handled = read_last = edges;
     return aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK;
 }
 
@@ -33,29 +56,43 @@ bool attitude_start(void)
 void attitude_edge(uint64_t now_us)
 {
     edge_us = now_us;
-    has_edge = true;
+    edges = edges + 1;
+}
+
+/* Reads the settings back. A short loss of supply changes them, and the rates are wrong then.
+ * Restores them, and returns the flag for the next burst. */
+static uint32_t check_settings(void)
+{
+    uint8_t found[SETTINGS];
+    if (HAL_I2C_Mem_Read(&hi2c1, SENSOR, FIRST_SETTING, 1, found, SETTINGS, 2) != HAL_OK ||
+        memcmp(found, wanted, SETTINGS) == 0) {
+        return 0; /* a failed read shows with the next burst too */
+    }
+    configure();
+    return APLOMB_FLAG_SENSOR_RESET;
 }
 
 /* Reads the sensor after an edge. Returns true if there is a new attitude. */
 bool attitude_poll(AplombSnapshot *snapshot)
 {
-    static uint8_t failed;
+    static uint32_t flags, bursts;
     AplombBurst burst = {0};
-    if (!has_edge) {
+    uint32_t lost;
+    if (edges == handled) {
         return false;
     }
-    has_edge = false;
-    do { /* two loads: an edge may come between them */
+    do { /* several loads: an edge may come between them */
+        handled = edges;
         burst.captured_at_us = edge_us;
-    } while (burst.captured_at_us != edge_us);
-    burst.missed_before = failed;
+    } while (handled != edges);
     if (HAL_I2C_Mem_Read(&hi2c1, SENSOR, DATA, 1, burst.bytes, 14, 2) != HAL_OK) {
-        failed = (uint8_t)(failed < 255 ? failed + 1 : 255); /* one lost sample does no harm */
+        flags |= APLOMB_FLAG_BUS_FAULT; /* one lost sample does no harm */
         return false;
     }
-    if (failed > 0) {
-        burst.board_flags = APLOMB_FLAG_BUS_FAULT;
-    }
-    failed = 0;
+    lost = handled - read_last - 1; /* edges that came too fast, and failed reads */
+    read_last = handled;
+    burst.missed_before = (uint8_t)(lost < 255 ? lost : 255);
+    burst.board_flags = flags;
+    flags = ++bursts % BURSTS_TO_CHECK == 0 ? check_settings() : 0;
     return aplomb_update_burst(&pipeline, &burst, snapshot) == APLOMB_STATUS_OK;
 }

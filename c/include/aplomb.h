@@ -8,75 +8,81 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+/* Version of this header. `aplomb_version` returns that of the library. */
+#define APLOMB_VERSION_MAJOR 0
+#define APLOMB_VERSION_MINOR 1
+#define APLOMB_VERSION_PATCH 0
+#define APLOMB_VERSION "0.1.0"
+
 // The gyroscope's offset is not known. The reported sigma is much larger.
-#define APLOMB_FLAG_CALIBRATING (1 << 0)
+#define APLOMB_FLAG_CALIBRATING (1u << 0)
 
 // The sensor moved before its offset was known.
-#define APLOMB_FLAG_MOVED (1 << 1)
+#define APLOMB_FLAG_MOVED (1u << 1)
 
 // Samples before this one were lost.
-#define APLOMB_FLAG_MISSED (1 << 2)
+#define APLOMB_FLAG_MISSED (1u << 2)
 
 // No sample came for more than half a second. Roll and pitch restarted from gravity. A shorter
 // pause of more than 3.5 sample periods has no flag of its own. Its sigma grows: after 61 ms in
 // flight, the attitude may be `APLOMB_FLAG_DEGRADED` for 13 s (docs/faults.md).
-#define APLOMB_FLAG_GAP (1 << 3)
+#define APLOMB_FLAG_GAP (1u << 3)
 
 // The sample's time is not after the previous one. The attitude is held.
-#define APLOMB_FLAG_TIME (1 << 4)
+#define APLOMB_FLAG_TIME (1u << 4)
 
 // A gyroscope axis reads full scale.
-#define APLOMB_FLAG_GYROSCOPE_SATURATED (1 << 5)
+#define APLOMB_FLAG_GYROSCOPE_SATURATED (1u << 5)
 
 // An accelerometer axis reads full scale.
-#define APLOMB_FLAG_ACCELEROMETER_SATURATED (1 << 6)
+#define APLOMB_FLAG_ACCELEROMETER_SATURATED (1u << 6)
 
 // The specific force is too small to show where down is.
-#define APLOMB_FLAG_FREE_FALL (1 << 7)
+#define APLOMB_FLAG_FREE_FALL (1u << 7)
 
 // The data repeat to the last bit: the sensor sleeps, or the bus or an axis is stuck. The attitude
 // is held.
-#define APLOMB_FLAG_FROZEN (1 << 8)
+#define APLOMB_FLAG_FROZEN (1u << 8)
 
 // The sample was not a measurement and was ignored.
-#define APLOMB_FLAG_REJECTED (1 << 9)
+#define APLOMB_FLAG_REJECTED (1u << 9)
 
 // The tilt is wrong by no more than the larger of 5 degrees and six sigma.
-#define APLOMB_FLAG_VALID (1 << 10)
+#define APLOMB_FLAG_VALID (1u << 10)
 
 // The attitude is less certain than usual.
-#define APLOMB_FLAG_DEGRADED (1 << 11)
+#define APLOMB_FLAG_DEGRADED (1u << 11)
 
 // No sample came: the attitude is the last one, and its sigma grows.
-#define APLOMB_FLAG_STALE (1 << 12)
+#define APLOMB_FLAG_STALE (1u << 12)
 
 // Bursts have failed since the previous sample. The caller reports it, as the next five.
-#define APLOMB_FLAG_BUS_FAULT (1 << 13)
+#define APLOMB_FLAG_BUS_FAULT (1u << 13)
 
 // The sensor had lost its settings, and has been configured again.
-#define APLOMB_FLAG_SENSOR_RESET (1 << 14)
+#define APLOMB_FLAG_SENSOR_RESET (1u << 14)
 
 // A sample was lost because the previous one was still being processed.
-#define APLOMB_FLAG_LATE (1 << 15)
+#define APLOMB_FLAG_LATE (1u << 15)
 
 // The die is outside -40 to 85 degrees Celsius.
-#define APLOMB_FLAG_TEMPERATURE (1 << 16)
+#define APLOMB_FLAG_TEMPERATURE (1u << 16)
 
 // Samples are polled: their time is uncertain by one period.
-#define APLOMB_FLAG_POLLED (1 << 17)
+#define APLOMB_FLAG_POLLED (1u << 17)
 
 // Times are those of an internal oscillator, accurate to 8 %. The attitude goes by the sensor's
 // clock, so the time of a burst has to be that of its edge, unless it was polled.
-#define APLOMB_FLAG_INTERNAL_CLOCK (1 << 18)
+#define APLOMB_FLAG_INTERNAL_CLOCK (1u << 18)
 
 // The heading is wrong by no more than the larger of 15 degrees and six sigma.
-#define APLOMB_FLAG_HEADING_VALID (1 << 19)
+#define APLOMB_FLAG_HEADING_VALID (1u << 19)
 
 // The compass gives no usable readings. The caller reports it. The attitude does not depend on it.
-#define APLOMB_FLAG_COMPASS_FAULT (1 << 20)
+#define APLOMB_FLAG_COMPASS_FAULT (1u << 20)
 
 // Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
-#define APLOMB_FLAG_VIBRATION (1 << 21)
+#define APLOMB_FLAG_VIBRATION (1u << 21)
 
 // Bytes of a record.
 #define APLOMB_RECORD_BYTES 512
@@ -101,7 +107,7 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_RANGE = 4,
   // The low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz.
   APLOMB_STATUS_WRONG_LOW_PASS = 5,
-  // No part of the family answers WHO_AM_I like this.
+  // No part of the family answers WHO_AM_I like this. Begin with `aplomb_default_settings`.
   APLOMB_STATUS_UNKNOWN_PART = 6,
   // No more steps: the configuration is complete.
   APLOMB_STATUS_NO_MORE_STEPS = 7,
@@ -337,7 +343,8 @@ typedef struct AplombRecord {
 extern "C" {
 #endif // __cplusplus
 
-// Returns the version of the library, such as "0.1.0".
+// Returns the version of the library, such as "0.1.0". It differs from `APLOMB_VERSION` if the
+// header is that of another library.
 const char *aplomb_version(void);
 
 // Returns what a status means and what to do, in English. Takes any number.
@@ -349,7 +356,8 @@ enum AplombStatus aplomb_configuration_step(const struct AplombSettings *setting
                                             uint32_t index,
                                             struct AplombStep *step);
 
-// Starts a pipeline with these settings, in memory with any contents.
+// Starts a pipeline with these settings, in memory with any contents. After an error the memory
+// holds no pipeline.
 enum AplombStatus aplomb_init(struct AplombPipeline *pipeline,
                               const struct AplombSettings *settings);
 
@@ -375,7 +383,7 @@ enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
 enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline, bool is_armed);
 
 // Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
-// are those of `AplombPipeline`, to the bit.
+// are those of `AplombPipeline`, to the bit. After an error the memory holds no pipeline.
 enum AplombStatus aplomb_compass_init(struct AplombCompassPipeline *pipeline,
                                       const struct AplombSettings *settings);
 

@@ -19,7 +19,7 @@ pub struct AplombField {
 }
 
 /// Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
-/// are those of `AplombPipeline`, to the bit.
+/// are those of `AplombPipeline`, to the bit. After an error the memory holds no pipeline.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_compass_init(
@@ -109,7 +109,9 @@ fn start(
     state: Option<&mut AplombCompassPipeline>,
     settings: Option<&AplombSettings>,
 ) -> Result<(), AplombStatus> {
-    let (state, settings) = (not_null(state)?, not_null(settings)?);
+    let state = not_null(state)?;
+    state.clear();
+    let settings = not_null(settings)?;
     let alignment = settings.compass_alignment()?;
     let knowledge = settings.compass_knowledge(&alignment)?;
     let declination_rad = settings.declination()?;

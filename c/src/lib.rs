@@ -44,53 +44,53 @@ pub use state::{
 };
 
 /// The gyroscope's offset is not known. The reported sigma is much larger.
-pub const APLOMB_FLAG_CALIBRATING: u32 = 1 << 0;
+pub const APLOMB_FLAG_CALIBRATING: u32 = 1_u32 << 0;
 /// The sensor moved before its offset was known.
-pub const APLOMB_FLAG_MOVED: u32 = 1 << 1;
+pub const APLOMB_FLAG_MOVED: u32 = 1_u32 << 1;
 /// Samples before this one were lost.
-pub const APLOMB_FLAG_MISSED: u32 = 1 << 2;
+pub const APLOMB_FLAG_MISSED: u32 = 1_u32 << 2;
 /// No sample came for more than half a second. Roll and pitch restarted from gravity. A shorter
 /// pause of more than 3.5 sample periods has no flag of its own. Its sigma grows: after 61 ms in
 /// flight, the attitude may be `APLOMB_FLAG_DEGRADED` for 13 s (docs/faults.md).
-pub const APLOMB_FLAG_GAP: u32 = 1 << 3;
+pub const APLOMB_FLAG_GAP: u32 = 1_u32 << 3;
 /// The sample's time is not after the previous one. The attitude is held.
-pub const APLOMB_FLAG_TIME: u32 = 1 << 4;
+pub const APLOMB_FLAG_TIME: u32 = 1_u32 << 4;
 /// A gyroscope axis reads full scale.
-pub const APLOMB_FLAG_GYROSCOPE_SATURATED: u32 = 1 << 5;
+pub const APLOMB_FLAG_GYROSCOPE_SATURATED: u32 = 1_u32 << 5;
 /// An accelerometer axis reads full scale.
-pub const APLOMB_FLAG_ACCELEROMETER_SATURATED: u32 = 1 << 6;
+pub const APLOMB_FLAG_ACCELEROMETER_SATURATED: u32 = 1_u32 << 6;
 /// The specific force is too small to show where down is.
-pub const APLOMB_FLAG_FREE_FALL: u32 = 1 << 7;
+pub const APLOMB_FLAG_FREE_FALL: u32 = 1_u32 << 7;
 /// The data repeat to the last bit: the sensor sleeps, or the bus or an axis is stuck. The attitude
 /// is held.
-pub const APLOMB_FLAG_FROZEN: u32 = 1 << 8;
+pub const APLOMB_FLAG_FROZEN: u32 = 1_u32 << 8;
 /// The sample was not a measurement and was ignored.
-pub const APLOMB_FLAG_REJECTED: u32 = 1 << 9;
+pub const APLOMB_FLAG_REJECTED: u32 = 1_u32 << 9;
 /// The tilt is wrong by no more than the larger of 5 degrees and six sigma.
-pub const APLOMB_FLAG_VALID: u32 = 1 << 10;
+pub const APLOMB_FLAG_VALID: u32 = 1_u32 << 10;
 /// The attitude is less certain than usual.
-pub const APLOMB_FLAG_DEGRADED: u32 = 1 << 11;
+pub const APLOMB_FLAG_DEGRADED: u32 = 1_u32 << 11;
 /// No sample came: the attitude is the last one, and its sigma grows.
-pub const APLOMB_FLAG_STALE: u32 = 1 << 12;
+pub const APLOMB_FLAG_STALE: u32 = 1_u32 << 12;
 /// Bursts have failed since the previous sample. The caller reports it, as the next five.
-pub const APLOMB_FLAG_BUS_FAULT: u32 = 1 << 13;
+pub const APLOMB_FLAG_BUS_FAULT: u32 = 1_u32 << 13;
 /// The sensor had lost its settings, and has been configured again.
-pub const APLOMB_FLAG_SENSOR_RESET: u32 = 1 << 14;
+pub const APLOMB_FLAG_SENSOR_RESET: u32 = 1_u32 << 14;
 /// A sample was lost because the previous one was still being processed.
-pub const APLOMB_FLAG_LATE: u32 = 1 << 15;
+pub const APLOMB_FLAG_LATE: u32 = 1_u32 << 15;
 /// The die is outside -40 to 85 degrees Celsius.
-pub const APLOMB_FLAG_TEMPERATURE: u32 = 1 << 16;
+pub const APLOMB_FLAG_TEMPERATURE: u32 = 1_u32 << 16;
 /// Samples are polled: their time is uncertain by one period.
-pub const APLOMB_FLAG_POLLED: u32 = 1 << 17;
+pub const APLOMB_FLAG_POLLED: u32 = 1_u32 << 17;
 /// Times are those of an internal oscillator, accurate to 8 %. The attitude goes by the sensor's
 /// clock, so the time of a burst has to be that of its edge, unless it was polled.
-pub const APLOMB_FLAG_INTERNAL_CLOCK: u32 = 1 << 18;
+pub const APLOMB_FLAG_INTERNAL_CLOCK: u32 = 1_u32 << 18;
 /// The heading is wrong by no more than the larger of 15 degrees and six sigma.
-pub const APLOMB_FLAG_HEADING_VALID: u32 = 1 << 19;
+pub const APLOMB_FLAG_HEADING_VALID: u32 = 1_u32 << 19;
 /// The compass gives no usable readings. The caller reports it. The attitude does not depend on it.
-pub const APLOMB_FLAG_COMPASS_FAULT: u32 = 1 << 20;
+pub const APLOMB_FLAG_COMPASS_FAULT: u32 = 1_u32 << 20;
 /// Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
-pub const APLOMB_FLAG_VIBRATION: u32 = 1 << 21;
+pub const APLOMB_FLAG_VIBRATION: u32 = 1_u32 << 21;
 
 /// Result of a function. `aplomb_status_text` describes it.
 #[repr(C)]
@@ -108,7 +108,7 @@ pub enum AplombStatus {
     WrongRange = 4,
     /// The low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz.
     WrongLowPass = 5,
-    /// No part of the family answers WHO_AM_I like this.
+    /// No part of the family answers WHO_AM_I like this. Begin with `aplomb_default_settings`.
     UnknownPart = 6,
     /// No more steps: the configuration is complete.
     NoMoreSteps = 7,
@@ -261,7 +261,8 @@ impl From<Snapshot> for AplombSnapshot {
     }
 }
 
-/// Returns the version of the library, such as "0.1.0".
+/// Returns the version of the library, such as "0.1.0". It differs from `APLOMB_VERSION` if the
+/// header is that of another library.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_version() -> *const c_char {
@@ -280,7 +281,7 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the mount is no name such as +x-z, z-up or z-down",
         c"the ranges are 2, 4, 8 or 16 g, and 250, 500, 1000 or 2000 degrees per second",
         c"the low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz",
-        c"no part of the family answers WHO_AM_I like this",
+        c"no part answers WHO_AM_I like this: begin with aplomb_default_settings",
         c"there are no more steps: the configuration is complete",
         c"the bytes hold no whole record, or one of a later version",
         c"a number of the calibration is not finite",
@@ -326,7 +327,8 @@ pub extern "C" fn aplomb_configuration_step(
     AplombStatus::Ok
 }
 
-/// Starts a pipeline with these settings, in memory with any contents.
+/// Starts a pipeline with these settings, in memory with any contents. After an error the memory
+/// holds no pipeline.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_init(
@@ -395,7 +397,9 @@ fn start(
     state: Option<&mut AplombPipeline>,
     settings: Option<&AplombSettings>,
 ) -> Result<(), AplombStatus> {
-    let (state, settings) = (not_null(state)?, not_null(settings)?);
+    let state = not_null(state)?;
+    state.clear();
+    let settings = not_null(settings)?;
     let checked = settings.checked()?;
     let accelerometer = settings.accelerometer()?;
     state.put(Pipeline::new(&checked));

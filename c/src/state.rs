@@ -49,6 +49,11 @@ impl AplombPipeline {
         place(&mut self.opaque).write(pipeline);
         self.opaque[0] = MARK;
     }
+
+    /// Ends the pipeline that was stored, if there was one.
+    pub(crate) fn clear(&mut self) {
+        self.opaque[0] = 0;
+    }
 }
 
 impl AplombCompassPipeline {
@@ -56,6 +61,11 @@ impl AplombCompassPipeline {
     pub(crate) fn put(&mut self, pipeline: WithCompass) {
         place(&mut self.opaque).write(pipeline);
         self.opaque[0] = COMPASS_MARK;
+    }
+
+    /// Ends the pipeline that was stored, if there was one.
+    pub(crate) fn clear(&mut self) {
+        self.opaque[0] = 0;
     }
 }
 

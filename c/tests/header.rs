@@ -10,6 +10,22 @@ const HEAD: &str = "\
  *
  * Made from c/src/ by `APLOMB_BLESS=1 cargo test -r -p aplomb-c --test header`. */";
 
+/// Returns the macros of the version.
+fn version() -> String {
+    let numbers = [
+        ("MAJOR", env!("CARGO_PKG_VERSION_MAJOR")),
+        ("MINOR", env!("CARGO_PKG_VERSION_MINOR")),
+        ("PATCH", env!("CARGO_PKG_VERSION_PATCH")),
+    ]
+    .map(|(part, number)| format!("#define APLOMB_VERSION_{part} {number}\n"));
+    format!(
+        "\n/* Version of this header. `aplomb_version` returns that of the library. */\n{}\
+         #define APLOMB_VERSION \"{}\"",
+        numbers.concat(),
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
 /// Returns the header that the code gives.
 fn header() -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -23,6 +39,7 @@ fn header() -> String {
         no_includes: true,
         sys_includes: vec!["stdbool.h".to_owned(), "stdint.h".to_owned()],
         line_length: 96,
+        after_includes: Some(version()),
         ..cbindgen::Config::default()
     };
     config.enumeration.rename_variants = cbindgen::RenameRule::QualifiedScreamingSnakeCase;
@@ -56,7 +73,7 @@ fn the_flags_are_those_of_the_library() {
     let header = header();
     for (name, flag) in Flags::all().iter_names() {
         let bit = flag.bits().trailing_zeros();
-        let line = format!("#define APLOMB_FLAG_{name} (1 << {bit})\n");
+        let line = format!("#define APLOMB_FLAG_{name} (1u << {bit})\n");
         assert!(header.contains(&line), "the header lacks {line}");
     }
     let flags = header.matches("#define APLOMB_FLAG_").count();

@@ -53,6 +53,29 @@ static void settings_are_checked(void)
         assert(strlen(aplomb_status_text(status)) > 3);
     }
     assert(aplomb_status_text(0xFFFFFFFFu) != NULL);
+    memset(&wrong, 0, sizeof wrong);
+    AplombStatus status = aplomb_init(&pipeline, &wrong);
+    assert(status != APLOMB_STATUS_OK);
+    assert(strstr(aplomb_status_text(status), "begin with aplomb_default_settings") != NULL);
+    assert(strcmp(aplomb_version(), APLOMB_VERSION) == 0);
+    assert(APLOMB_VERSION_MAJOR + APLOMB_VERSION_MINOR + APLOMB_VERSION_PATCH > 0);
+}
+
+/* A pipeline with the settings from before would go on unnoticed. */
+static void a_failed_start_leaves_no_pipeline(void)
+{
+    AplombSettings settings = aplomb_default_settings();
+    AplombSettings wrong = settings;
+    AplombSnapshot snapshot;
+    wrong.low_pass_hz = 100;
+    assert(aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK);
+    assert(aplomb_stale(&pipeline, 0, &snapshot) == APLOMB_STATUS_OK);
+    snapshot.flags &= ~APLOMB_FLAG_STALE; /* no warning about signs */
+    assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_LOW_PASS);
+    assert(aplomb_stale(&pipeline, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
+    assert(aplomb_compass_init(&with_compass, &settings) == APLOMB_STATUS_OK);
+    assert(aplomb_compass_init(&with_compass, NULL) == APLOMB_STATUS_NULL_POINTER);
+    assert(aplomb_compass_stale(&with_compass, 0, &snapshot) == APLOMB_STATUS_NOT_INITIALISED);
 }
 
 static void settings_of_a_compass_are_checked(void)
@@ -432,6 +455,7 @@ static void wild_settings_are_refused_or_run(void)
 int main(void)
 {
     settings_are_checked();
+    a_failed_start_leaves_no_pipeline();
     settings_of_a_compass_are_checked();
     steps_are_those_of_the_datasheet();
     records_read_back();

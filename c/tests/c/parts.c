@@ -11,13 +11,15 @@
 I2C_HandleTypeDef hi2c1;
 
 static int writes, waited_ms, reads;
+static uint8_t registers[256];
 
 HAL_StatusTypeDef HAL_I2C_Mem_Write(I2C_HandleTypeDef *port, uint16_t device, uint16_t address,
                                     uint16_t address_size, uint8_t *data, uint16_t size,
                                     uint32_t timeout_ms)
 {
-    (void)address, (void)data, (void)timeout_ms;
+    (void)timeout_ms;
     assert(port == &hi2c1 && device == 0xD0 && address_size == 1 && size == 1);
+    registers[address & 0xFF] = *data;
     writes++;
     return HAL_OK;
 }
@@ -29,7 +31,12 @@ HAL_StatusTypeDef HAL_I2C_Mem_Read(I2C_HandleTypeDef *port, uint16_t device, uin
 {
     static const uint8_t level[14] = {0, 3, 0, 4, 8, 0, 0xF0, 0xB0};
     (void)device, (void)address_size, (void)timeout_ms;
-    assert(port == &hi2c1 && address == 0x3B && size == 14);
+    assert(port == &hi2c1);
+    if (address != 0x3B) {
+        memcpy(data, registers + address, size);
+        return HAL_OK;
+    }
+    assert(size == 14);
     if (++reads == 10) {
         return HAL_ERROR;
     }
@@ -56,6 +63,24 @@ int main(void)
         seen |= snapshot.flags;
     }
     assert((snapshot.flags & APLOMB_FLAG_VALID) && (seen & APLOMB_FLAG_BUS_FAULT));
+    assert(writes == 10 && !(seen & APLOMB_FLAG_SENSOR_RESET));
+    assert(!(snapshot.flags & APLOMB_FLAG_MISSED));
+
+    /* Two edges before a poll: a sample is lost. */
+    attitude_edge(3000000);
+    attitude_edge(3001000);
+    assert(attitude_poll(&snapshot) && (snapshot.flags & APLOMB_FLAG_MISSED));
+    assert(!attitude_poll(&snapshot));
+
+    /* The full scale of the gyroscope is lost: it is restored, and reported. */
+    registers[0x1B] = 0;
+    seen = 0;
+    for (uint64_t now_us = 3002000; now_us < 3050000; now_us += 1000) {
+        attitude_edge(now_us);
+        assert(attitude_poll(&snapshot));
+        seen |= snapshot.flags;
+    }
+    assert(registers[0x1B] == 0x18 && (seen & APLOMB_FLAG_SENSOR_RESET));
     assert(fabsf(snapshot.roll_rad) < 0.01f && fabsf(snapshot.pitch_rad) < 0.01f);
 
     const float force[3] = {0.0f, 4.903f, 8.493f}, rate[3] = {0.0f, 0.0f, 0.0f};

@@ -4,7 +4,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Warnings of every compiler, all of them errors.
-pub const WARNINGS: [&str; 5] = ["-Wall", "-Wextra", "-pedantic", "-Werror", "-O1"];
+pub const WARNINGS: [&str; 6] = [
+    "-Wall",
+    "-Wextra",
+    "-Wsign-conversion",
+    "-pedantic",
+    "-Werror",
+    "-O1",
+];
 
 /// Libraries that the static library needs.
 pub const SYSTEM: [&str; 3] = ["-lpthread", "-ldl", "-lm"];
