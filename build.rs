@@ -27,6 +27,13 @@ fn main() {
         [file] => file,
         _ => panic!("choose one of the features board-…, not {}", chosen.len()),
     };
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("none") {
+        println!(
+            "cargo::error=a feature `board-…` is for the board's chip alone: add `--target \
+             thumbv7em-none-eabihf`, or leave the feature out on a computer"
+        );
+        return;
+    }
     let output = env::var("OUT_DIR").expect("cargo sets OUT_DIR for build scripts");
     fs::copy(
         Path::new("boards").join(file),
@@ -35,7 +42,5 @@ fn main() {
     .unwrap_or_else(|error| panic!("cannot copy boards/{file}: {error}"));
     println!("cargo:rustc-link-search={output}");
     println!("cargo:rustc-link-arg-bin=flight=-Tdefmt.x");
-    if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
-        println!("cargo:rustc-link-arg-examples=-Tdefmt.x");
-    }
+    println!("cargo:rustc-link-arg-examples=-Tdefmt.x");
 }

@@ -162,7 +162,8 @@ impl Pipeline {
     ///
     /// Times increase. A burst that is not later than the one before is flagged [`Flags::TIME`],
     /// and is never valid. It is ignored if it is late by at most 0.5 s. After a larger step back
-    /// the clock goes on from that burst, and the next one starts roll and pitch from gravity.
+    /// the clock goes on from that burst, and the next one starts roll and pitch from gravity. With
+    /// a feature `board-…` no burst is ignored: the times of the burst reader increase.
     #[inline]
     pub fn update(&mut self, burst: &Burst, board: BoardFlags) -> Snapshot {
         let temperature = RawSample::decode(&burst.bytes).temperature;
@@ -208,7 +209,8 @@ impl Pipeline {
     ///
     /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
     /// and a stuck axis are flagged [`Flags::FROZEN`] only after a rest of 200 samples, one in each
-    /// 1/bandwidth. Their noise shows that the values do not repeat for another reason.
+    /// 1/bandwidth. Their noise shows that the values do not repeat for another reason. With a
+    /// feature `board-…` neither they nor late samples are checked: the firmware takes bursts.
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
         self.monitor.confirm_scales();
         #[cfg(not(feature = "firmware"))]
