@@ -108,11 +108,18 @@ impl Sensor {
 async fn show_attitude<I: Bus>(i2c: &mut I, interrupt: &mut impl Wait) -> Option<()> {
     let sensor = find(i2c).await?;
     sensor.configure(i2c).await.ok()?;
-    let mut pipeline = Pipeline::new(&Settings::for_sensor(sensor.part, &sensor.config));
-    let mut missed = 0;
+    let mut settings = Settings::for_sensor(sensor.part, &sensor.config);
+    settings.verifies_scales = true;
+    let mut pipeline = Pipeline::new(&settings);
+    // Missing samples, and the flags of the next burst.
+    let (mut missed, mut board) = (0, BoardFlags::empty());
     for number in 0_u32.. {
-        if number.is_multiple_of(SAMPLES_TO_CHECK) && !sensor.is_intact(i2c).await.ok()? {
-            return None;
+        // After a jump of the rate no attitude is valid before the settings are checked.
+        if number.is_multiple_of(SAMPLES_TO_CHECK) || pipeline.awaits_scale_check() {
+            if !sensor.is_intact(i2c).await.ok()? {
+                return None;
+            }
+            board |= BoardFlags::SCALES_VERIFIED;
         }
         let edge = with_timeout(EDGE_TIMEOUT, interrupt.wait_for_rising_edge()).await;
         let now = Instant::now();
@@ -132,9 +139,8 @@ async fn show_attitude<I: Bus>(i2c: &mut I, interrupt: &mut impl Wait) -> Option
             continue;
         };
         burst.missed_before = core::mem::take(&mut missed);
-        let mut board = BoardFlags::empty();
         board.set(BoardFlags::BUS_FAULT, burst.missed_before > 0);
-        show(number, &pipeline.update(&burst, board));
+        show(number, &pipeline.update(&burst, core::mem::take(&mut board)));
     }
     None
 }
