@@ -364,8 +364,8 @@ mod tests {
         assert!(last.numbered.flags.contains(BoardFlags::SENSOR_RESET));
     }
 
-    /// A valid attitude is wrong by no more than the larger of 5° and six σ, also after the loss of
-    /// the full scale in motion.
+    /// A valid attitude is wrong by no more than the larger of 5° and six σ, also after the loss
+    /// of the full scale in motion.
     #[test]
     fn no_attitude_with_a_lost_full_scale_is_valid_and_wrong() {
         for (divider, seed) in [(0, 1), (4, 1), (4, 2), (4, 3), (19, 1), (19, 2)] {

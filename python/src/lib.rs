@@ -1,6 +1,8 @@
 //! aplomb from Python. Nothing is estimated here: the module converts, and calls the library. So a
 //! recording gives the bits of `aplomb replay`.
 
+mod attitudes;
+mod copies;
 mod kalman;
 mod recording;
 mod times;
@@ -13,7 +15,9 @@ use pyo3::prelude::*;
 #[pymodule]
 mod aplomb {
     #[pymodule_export]
-    use super::kalman::{Attitude, Attitudes, Kalman, flag_names};
+    use super::attitudes::{Attitude, Attitudes, flag_names};
+    #[pymodule_export]
+    use super::kalman::Kalman;
     #[pymodule_export]
     use super::recording::{Recording, calibrate_accelerometer, read_log, simulate};
 

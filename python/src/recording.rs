@@ -22,7 +22,7 @@ use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::kalman::not_pickled;
+use crate::copies::not_pickled;
 use crate::vectors::Vectors;
 
 /// Longest simulation, s.
