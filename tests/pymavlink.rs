@@ -253,11 +253,13 @@ impl Module {
         }
         let vehicle = Vehicle {
             snapshot: Some(&snapshot),
+            is_due: true,
             sample: self.pipeline.sample(),
             temperature_celsius: self.pipeline.temperature_celsius(),
             heading: None,
             compass: CompassStatus::default(),
             record: &self.record,
+            baud: self.record.preferences.baud,
             is_armed: false,
             bursts_failed: 0,
         };

@@ -238,11 +238,13 @@ fn messages(text: Option<&str>) -> Vec<u8> {
     };
     let vehicle = Vehicle {
         snapshot: Some(&snapshot),
+        is_due: true,
         sample: &Sample::default(),
         temperature_celsius: 31.5,
         heading: None,
         compass: CompassStatus::default(),
         record: &Record::default(),
+        baud: 115_200,
         is_armed: false,
         bursts_failed: 0,
     };

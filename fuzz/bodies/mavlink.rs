@@ -78,11 +78,13 @@ fn hear(bytes: &[u8]) {
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
             snapshot: None,
+            is_due: false,
             sample: &sample,
             temperature_celsius: 0.0,
             heading: None,
             compass: CompassStatus::default(),
             record: &record,
+            baud: 115_200,
             is_armed: false,
             bursts_failed: 0,
         };

@@ -157,11 +157,13 @@ fn mavlink_of(session: &mut Session, snapshot: &Snapshot, says: Option<&str>) ->
     let mut output = Output::new(&mut buffer);
     let vehicle = Vehicle {
         snapshot: Some(snapshot),
+        is_due: true,
         sample: &Sample::default(),
         temperature_celsius: 31.5,
         heading: None,
         compass: CompassStatus::default(),
         record: &aplomb::settings::Record::default(),
+        baud: 115_200,
         is_armed: false,
         bursts_failed: 0,
     };
