@@ -100,14 +100,19 @@ struct Instant {
 }
 
 impl Instant {
+    /// Returns the present instant.
     #[inline(always)]
     fn now() -> Self {
-        loop {
-            let spent = SPENT.load(Ordering::Relaxed);
-            let cycles = DWT::cycle_count();
-            if SPENT.load(Ordering::Relaxed) == spent {
-                return Self { cycles, spent };
-            }
+        interrupt::free(|_| Self::now_masked())
+    }
+
+    /// Returns the present instant, while no interrupt can come: between the two readings it would
+    /// count as a part of the interrupted context.
+    #[inline(always)]
+    fn now_masked() -> Self {
+        Self {
+            cycles: DWT::cycle_count(),
+            spent: SPENT.load(Ordering::Relaxed),
         }
     }
 
@@ -327,10 +332,10 @@ pub fn run(is_new: bool, condition: impl Fn() -> bool) {
         if condition() {
             break;
         }
-        let units = Instant::now().since(woken).wrapping_mul(UNITS);
+        let units = Instant::now_masked().since(woken).wrapping_mul(UNITS);
         BUSY.fetch_add(units.wrapping_sub(reading_cost), Ordering::Relaxed);
         cortex_m::asm::wfi();
-        woken = Instant::now();
+        woken = Instant::now_masked();
         // SAFETY: the idle task runs outside of critical sections.
         unsafe { interrupt::enable() };
         cortex_m::asm::isb();
@@ -390,12 +395,12 @@ fn mean_difference(sum: u32, other: u32) -> u32 {
     (sum.wrapping_sub(other) + REPETITIONS / 2) / REPETITIONS
 }
 
-/// Returns the cycles of this work, without those of interrupts.
+/// Returns the cycles of this work, without those of interrupts, which can come only within it.
 #[inline(always)]
 fn timed(work: impl FnOnce()) -> u32 {
-    let start = Instant::now();
+    let start = Instant::now_masked();
     work();
-    Instant::now().since(start)
+    Instant::now_masked().since(start)
 }
 
 /// Lets no interrupt come but that of the calibration, which has the highest priority.
