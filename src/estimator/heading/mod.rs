@@ -34,8 +34,8 @@
 //!
 //! # Cost
 //!
-//! Deadline: one sample. With the tilt filter a sample costs 465 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 877 at worst. Below 250 Hz a whole step runs with one sample.
+//! Deadline: one sample. With the tilt filter a sample costs 461 instructions on average on a
+//! Cortex-M4F at 1 kHz, and 879 at worst. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
