@@ -140,7 +140,10 @@ async fn show_attitude<I: Bus>(i2c: &mut I, interrupt: &mut impl Wait) -> Option
         };
         burst.missed_before = core::mem::take(&mut missed);
         board.set(BoardFlags::BUS_FAULT, burst.missed_before > 0);
-        show(number, &pipeline.update(&burst, core::mem::take(&mut board)));
+        show(
+            number,
+            &pipeline.update(&burst, core::mem::take(&mut board)),
+        );
     }
     None
 }
