@@ -94,7 +94,8 @@ fn check(report: &str, flown: &BTreeMap<String, Snapshot>) {
     };
     assert_eq!(all("GAP").len() + all("STRANGER").len(), 0);
     assert_eq!(all("HEARTBEAT").len(), 10);
-    assert_eq!(all("SYS_STATUS").len(), 10);
+    // One more than heartbeats: when the attitude becomes valid.
+    assert_eq!(all("SYS_STATUS").len(), 11);
 
     let attitudes = all("ATTITUDE");
     assert_eq!(attitudes.len() as u64, TURNS);
