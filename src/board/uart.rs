@@ -14,7 +14,7 @@ use super::clocks;
 use super::timebase;
 
 /// Capacity of the transmit buffer, in bytes.
-pub const CAPACITY: usize = 1188;
+pub const CAPACITY: usize = 1254;
 
 /// Capacity of the ring of received bytes. At 921,600 baud the ring wraps in 22 ms, which is longer
 /// than the period of the reads.

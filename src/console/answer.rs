@@ -13,8 +13,8 @@ use core::fmt::{self, Write};
 
 use crate::attitude::Vector3;
 
-/// Length of the longest answer without its line end, in bytes: 18 pieces of a MAVLink text.
-pub const ANSWER_CAPACITY: usize = 899;
+/// Length of the longest answer without its line end, in bytes: 19 pieces of a MAVLink text.
+pub const ANSWER_CAPACITY: usize = 949;
 
 /// Kind of an answer: its first word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1432,8 +1432,7 @@ fn the_longest_answers_fit() {
     harness.ask("calibrate temperature");
     let long = Vector3::new(-39.99, -39.99, -39.99);
     let state = State {
-        // With these others no attitude is valid, nor is its heading.
-        flags: Flags::all() - Flags::VALID - Flags::HEADING_VALID,
+        flags: Flags::all(),
         sensor: Some((&Part::MPU_6050, 0x69)),
         compass: CompassStatus {
             part: Some(("HMC5883L/DA5883", 0x1E)),
@@ -1449,9 +1448,9 @@ fn the_longest_answers_fit() {
         }),
         temperature_celsius: -39.99,
         bias_rad_s: long,
-        bias_sigma_rad_s: 39.99,
+        bias_sigma_rad_s: -39.99,
         accelerometer_offset_m_s2: Some(Vector3::new(-0.999, -0.999, -0.999)),
-        tilt_sigma_rad: 39.99,
+        tilt_sigma_rad: -39.99,
         bursts_failed: u16::MAX,
         times_missed: u16::MAX,
         times_refused: u16::MAX,
