@@ -43,7 +43,8 @@ pub struct Session {
     sequence: u8,
     dropped: u16,
     next_heartbeat_us: u64,
-    next_status_us: u64,
+    /// Time of the last SYS_STATUS, µs.
+    status_us: u64,
     next_hud_us: u64,
     /// Time of the last measurement, µs.
     measured_us: u64,
@@ -79,7 +80,7 @@ impl Session {
             sequence: 0,
             dropped: 0,
             next_heartbeat_us: 0,
-            next_status_us: 0,
+            status_us: 0,
             next_hud_us: 0,
             measured_us: 0,
             reported: MavSysStatusSensor::empty(),
@@ -272,18 +273,18 @@ impl Session {
     fn report_health(&mut self, now_us: u64, vehicle: &Vehicle<'_>, output: &mut Output<'_>) {
         let all = vehicle.sensors();
         let flags = vehicle.snapshot.map(|snapshot| snapshot.flags);
-        let present = health(flags, all);
-        self.unhealthy |= self.reported - present;
-        let healthy = present - self.unhealthy;
-        let due_us = if healthy == self.reported {
-            self.next_status_us
+        let healthy_now = health(flags, all);
+        self.unhealthy |= self.reported - healthy_now;
+        let healthy = healthy_now - self.unhealthy;
+        let period_us = if healthy == self.reported {
+            HEARTBEAT_PERIOD_US
         } else {
-            (self.next_status_us + SHORTEST_STATUS_PERIOD_US).saturating_sub(HEARTBEAT_PERIOD_US)
+            SHORTEST_STATUS_PERIOD_US
         };
-        if now_us < due_us {
+        if now_us < self.status_us + period_us {
             return;
         }
-        self.next_status_us = now_us + HEARTBEAT_PERIOD_US;
+        self.status_us = now_us;
         let status = SYS_STATUS_DATA {
             onboard_control_sensors_present: all,
             onboard_control_sensors_enabled: all,

@@ -43,6 +43,8 @@ struct Bench {
     session: Session,
     record: Record,
     snapshot: Snapshot,
+    /// False before the first attitude.
+    has_attitude: bool,
     sample: Sample,
     field: Option<MagneticField>,
     is_armed: bool,
@@ -71,6 +73,7 @@ impl Bench {
                 specific_force_m_s2: Vector3::new(0.0, 0.5, -9.8),
                 ..Sample::default()
             },
+            has_attitude: true,
             field: None,
             is_armed: false,
             baud: 115_200,
@@ -100,12 +103,12 @@ impl Bench {
     }
 
     /// Output of the session, in a buffer of this size.
-    fn receive_with(&mut self, size: usize, has_attitude: bool) -> Vec<(u8, MavMessage)> {
+    fn receive_with(&mut self, size: usize, is_due: bool) -> Vec<(u8, MavMessage)> {
         let mut buffer = vec![0; size];
         let mut output = Output::new(&mut buffer);
         let vehicle = Vehicle {
-            snapshot: Some(&self.snapshot),
-            is_due: has_attitude,
+            snapshot: self.has_attitude.then_some(&self.snapshot),
+            is_due,
             sample: &self.sample,
             temperature_celsius: 25.5,
             heading: None,
@@ -257,25 +260,9 @@ fn heartbeats_come_once_a_second_beside_attitudes() {
     assert_eq!((heartbeats, statuses), (2, 2));
 }
 
-/// State in the next heartbeat, if the module has this attitude.
-fn state(bench: &mut Bench, snapshot: Option<&Snapshot>) -> MavState {
-    let mut buffer = [0; 512];
-    let mut output = Output::new(&mut buffer);
-    let vehicle = Vehicle {
-        snapshot,
-        is_due: false,
-        sample: &bench.sample,
-        temperature_celsius: 25.5,
-        heading: None,
-        compass: CompassStatus::default(),
-        record: &bench.record,
-        baud: bench.baud,
-        is_armed: bench.is_armed,
-        bursts_failed: 3,
-    };
-    bench.session.fill(bench.now_us, &vehicle, &mut output);
-    let length = output.length();
-    let received = messages(&buffer[..length]);
+/// State in the heartbeat that is due.
+fn state(bench: &mut Bench) -> MavState {
+    let received = bench.receive_all(512);
     let Some((_, MavMessage::HEARTBEAT(beat))) = received.first() else {
         panic!("{received:?}");
     };
@@ -291,7 +278,6 @@ fn a_sensor_that_falls_silent_makes_the_heartbeat_critical() {
     ] {
         let mut bench = Bench::new();
         bench.is_armed = is_armed;
-        let mut snapshot = bench.snapshot;
         for (flags, expected) in [
             (Flags::VALID, healthy),
             (Flags::DEGRADED | Flags::STALE, MavState::MAV_STATE_CRITICAL),
@@ -299,15 +285,15 @@ fn a_sensor_that_falls_silent_makes_the_heartbeat_critical() {
             (Flags::VALID, healthy),
         ] {
             bench.now_us += 1_000_000;
-            snapshot.flags = flags;
-            assert_eq!(state(&mut bench, Some(&snapshot)), expected, "{flags}");
+            bench.snapshot.flags = flags;
+            assert_eq!(state(&mut bench), expected, "{flags}");
         }
         // One sample that is no measurement is nothing to worry about.
         bench.now_us += 900_000;
         bench.receive_all(512);
         bench.now_us += 100_000;
-        snapshot.flags = Flags::REJECTED;
-        assert_eq!(state(&mut bench, Some(&snapshot)), healthy);
+        bench.snapshot.flags = Flags::REJECTED;
+        assert_eq!(state(&mut bench), healthy);
     }
 }
 
@@ -334,15 +320,14 @@ fn a_heartbeat_between_two_attitudes_has_the_state_of_the_last() {
 #[test]
 fn a_module_without_an_attitude_boots_and_is_then_critical() {
     let mut bench = Bench::new();
+    bench.session = Session::new();
+    bench.has_attitude = false;
     for (now_us, expected) in [
         (10_000, MavState::MAV_STATE_BOOT),
         (1_010_000, MavState::MAV_STATE_CRITICAL),
     ] {
-        if now_us < 1_000_000 {
-            bench.session = Session::new();
-        }
         bench.now_us = now_us;
-        assert_eq!(state(&mut bench, None), expected);
+        assert_eq!(state(&mut bench), expected);
     }
 }
 
