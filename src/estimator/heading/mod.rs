@@ -457,7 +457,7 @@ impl Heading {
     /// one slice of a step at most, unless samples are rare.
     #[inline]
     pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
-        if kalman.is_motion_reset()
+        if kalman.are_tilt_and_velocity_reset()
             && (self.covariance.is_correlated() || self.phase != Phase::Idle)
         {
             self.reset_with_tilt();

@@ -15,6 +15,7 @@
 //! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in
 //! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
 
+use super::prior::FIRST_WITH_PRIOR;
 use super::propagation::{
     DYNAMIC, GYROSCOPE_PARAMETERS, PARAMETERS, State, TILT_EAST, TILT_NORTH, VELOCITY_EAST,
     VELOCITY_NORTH,
@@ -36,8 +37,6 @@ pub(in crate::estimator) const VELOCITY: core::ops::Range<usize> = VELOCITY_NORT
 pub(in crate::estimator) const FIRST_GYROSCOPE: usize = DYNAMIC;
 /// Number of the gyroscope's parameters.
 pub(in crate::estimator) const GYROSCOPE: usize = GYROSCOPE_PARAMETERS;
-/// Parameters that are the gyroscope's bias.
-const BIAS_AXES: core::ops::Range<usize> = 0..3;
 /// Most measurements of a covariance step.
 pub(in crate::estimator) const MEASUREMENTS: usize = MOST_MEASUREMENTS;
 
@@ -96,22 +95,24 @@ impl Kalman {
     }
 
     /// Returns whether tilt and velocity have just been reset: they correlate with nothing.
-    pub(in crate::estimator) fn is_motion_reset(&self) -> bool {
-        !self.step.is_under_way() && self.is_reset(TILT_NORTH) && self.is_reset(TILT_EAST)
+    pub(in crate::estimator) fn are_tilt_and_velocity_reset(&self) -> bool {
+        !self.step.is_under_way()
+            && self.is_uncorrelated(TILT_NORTH)
+            && self.is_uncorrelated(TILT_EAST)
     }
 
     /// Returns whether the velocity has been reset alone: it correlates with no parameter.
     pub(in crate::estimator) fn is_velocity_reset(&self) -> bool {
-        VELOCITY.into_iter().all(|state| self.is_reset(state))
+        VELOCITY
+            .into_iter()
+            .all(|state| self.is_uncorrelated(state))
     }
 
     /// Returns whether a dynamic state correlates with no axis of the gyroscope's bias. One axis
     /// alone says nothing: while it is exactly vertical, it turns neither tilt nor velocity.
     #[inline]
-    fn is_reset(&self, state: usize) -> bool {
-        BIAS_AXES
-            .into_iter()
-            .all(|axis| self.step.covariance.cross_entry(axis, state) == 0.0)
+    fn is_uncorrelated(&self, state: usize) -> bool {
+        (0..FIRST_WITH_PRIOR).all(|axis| self.step.covariance.cross_entry(axis, state) == 0.0)
     }
 
     /// Returns the attitude at the last earth step.
