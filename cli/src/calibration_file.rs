@@ -36,7 +36,10 @@ impl CalibrationFile {
         }
         let mut sensors = Calibration::NONE;
         sensors.accelerometer = match (file.offset_m_s2, file.matrix) {
-            (Some(offset), Some([[xx, xy, xz], [_, yy, yz], [_, _, zz]])) => {
+            (Some(offset), Some([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]])) => {
+                if [xy, xz, yz] != [yx, zx, zy] {
+                    return Err("its matrix is not symmetric".into());
+                }
                 Some(AccelerometerCorrection {
                     offset_m_s2: vector(offset),
                     matrix: SymmetricMatrix {
@@ -131,6 +134,10 @@ mod tests {
             ("{}", "there is no calibration in it"),
             ("{\"offset_m_s2\":[0,0,0]}", "only one of"),
             (&accelerometer("").replace("0.1", "9"), "above 0.2 g"),
+            (
+                &accelerometer("").replace("[[1,0,0]", "[[1,0.1,0]"),
+                "not symmetric",
+            ),
             ("t_us,ax", "aplomb calibrate --json"),
         ] {
             let refused = CalibrationFile::parse(json).expect_err(json);
