@@ -665,3 +665,34 @@ fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
     assert!(after < before - 0.2, "{before} {after}");
     assert!(after < exact + 0.1, "{after} {exact}");
 }
+
+/// A short outage leaves no other trace in a text format. Without samples the tilt is uncertain by
+/// what the body may have turned meanwhile: six sigma of both axes are 180 °/s each.
+#[test]
+fn status_counts_refused_samples_and_its_sigma_grows() {
+    let outages = Schedule::parse("outages", "2.0 0.05 zeros\n3.0 1.5 sensor-silent").unwrap();
+    let outcome = fly(Run::new(firmware())
+        .seconds(4.6)
+        .schedule(&outages)
+        .command(1.9, "status")
+        .command(2.5, "status")
+        .command(4.4, "status"));
+    let number = |answer: &str, name: &str| -> f64 {
+        let (_, rest) = answer.split_once(name).expect(name);
+        rest.split(' ').next().unwrap().parse().expect(name)
+    };
+    let statuses: Vec<[f64; 2]> = answers(&outcome)
+        .iter()
+        .filter(|(_, answer)| answer.starts_with("ok status: "))
+        .map(|(_, answer)| [" refused=", " tilt_sigma_deg="].map(|name| number(answer, name)))
+        .collect();
+    let [before, after, silent] = statuses[..] else {
+        panic!("{statuses:?}");
+    };
+    assert_eq!(before[0], 0.0);
+    // Blank data are one event, whether they are found blank or frozen first.
+    assert!((1.0..=2.0).contains(&after[0]), "{after:?}");
+    assert!(before[1] < 3.0 && after[1] < 5.0, "{statuses:?}");
+    let turned_deg = 30.0 * 2_f64.sqrt() * 1.4;
+    assert!((silent[1] - turned_deg).abs() < 6.0, "{silent:?}");
+}

@@ -68,6 +68,7 @@ pub fn run_on_host() -> Result<(), String> {
     ))
 }
 
+/// Returns the command that runs the one for the computer.
 fn host() -> Command {
     let mut cargo = step::host_cargo("run");
     cargo.args(["--quiet", "--release", "--example", "host"]);
