@@ -45,6 +45,7 @@ static bool configure(void)
 bool attitude_start(void)
 {
     settings = aplomb_default_settings();
+    settings.verifies_scales = 1; /* attitude_poll does */
     if (!configure()) {
         return false;
     }
@@ -60,13 +61,15 @@ void attitude_edge(uint64_t now_us)
 }
 
 /* Reads the settings back. A short loss of supply changes them, and the rates are wrong then.
- * Restores them, and returns the flag for the next burst. */
+ * Restores them if need be, and returns the flag for the next burst. */
 static uint32_t check_settings(void)
 {
     uint8_t found[SETTINGS];
-    if (HAL_I2C_Mem_Read(&hi2c1, SENSOR, FIRST_SETTING, 1, found, SETTINGS, 2) != HAL_OK ||
-        memcmp(found, wanted, SETTINGS) == 0) {
-        return 0; /* a failed read shows with the next burst too */
+    if (HAL_I2C_Mem_Read(&hi2c1, SENSOR, FIRST_SETTING, 1, found, SETTINGS, 2) != HAL_OK) {
+        return APLOMB_FLAG_BUS_FAULT;
+    }
+    if (memcmp(found, wanted, SETTINGS) == 0) {
+        return APLOMB_FLAG_SCALES_VERIFIED;
     }
     configure();
     return APLOMB_FLAG_SENSOR_RESET;
@@ -93,6 +96,13 @@ bool attitude_poll(AplombSnapshot *snapshot)
     read_last = handled;
     burst.missed_before = (uint8_t)(lost < 255 ? lost : 255);
     burst.board_flags = flags;
-    flags = ++bursts % BURSTS_TO_CHECK == 0 ? check_settings() : 0;
-    return aplomb_update_burst(&pipeline, &burst, snapshot) == APLOMB_STATUS_OK;
+    if (aplomb_update_burst(&pipeline, &burst, snapshot) != APLOMB_STATUS_OK) {
+        return false;
+    }
+    /* After a jump of the rate no attitude is valid before the settings are checked. */
+    flags = 0;
+    if (++bursts % BURSTS_TO_CHECK == 0 || aplomb_awaits_scale_check(&pipeline)) {
+        flags = check_settings();
+    }
+    return true;
 }

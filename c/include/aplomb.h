@@ -84,6 +84,10 @@
 // Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
 #define APLOMB_FLAG_VIBRATION (1u << 21)
 
+// The full scales have been read back since the previous burst, and are right. The caller reports
+// it. No attitude has this flag.
+#define APLOMB_FLAG_SCALES_VERIFIED (1u << 31)
+
 // Bytes of a record.
 #define APLOMB_RECORD_BYTES 512
 
@@ -238,6 +242,11 @@ typedef struct AplombSettings {
   uint32_t compass_knowledge;
   // Declination of the place, rad, east positive: the heading is then from true north.
   float declination_rad;
+  // Not 0 if the caller reads the sensor's full scales back while `aplomb_awaits_scale_check`
+  // returns true, and then reports `APLOMB_FLAG_SCALES_VERIFIED`.
+  uint8_t verifies_scales;
+  // Zero; reserved.
+  uint8_t reserved[3];
   // Calibration of the sensor.
   struct AplombCalibration calibration;
 } AplombSettings;
@@ -270,7 +279,7 @@ typedef struct AplombBurst {
   // Zero; reserved.
   uint8_t reserved;
   // Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock,
-  // compass fault.
+  // compass fault, scales verified.
   uint32_t board_flags;
 } AplombBurst;
 
@@ -378,6 +387,11 @@ enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
                                uint64_t t_us,
                                struct AplombSnapshot *snapshot);
 
+// Returns whether the rate has jumped as if the gyroscope's full scale had changed. Then read the
+// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst if they are right.
+// Until then no attitude is valid. False without a pipeline, or unless `verifies_scales` is set.
+bool aplomb_awaits_scale_check(struct AplombPipeline *pipeline);
+
 // Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity
 // updates, so it cannot mistake a steady turn for a rest.
 enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline, bool is_armed);
@@ -407,6 +421,9 @@ enum AplombStatus aplomb_compass_update_field(struct AplombCompassPipeline *pipe
 enum AplombStatus aplomb_compass_stale(struct AplombCompassPipeline *pipeline,
                                        uint64_t t_us,
                                        struct AplombSnapshot *snapshot);
+
+// Returns whether the full scales have to be read back, as `aplomb_awaits_scale_check` does.
+bool aplomb_compass_awaits_scale_check(struct AplombCompassPipeline *pipeline);
 
 // Switches between ground and flight like `aplomb_set_armed`.
 enum AplombStatus aplomb_compass_set_armed(struct AplombCompassPipeline *pipeline,

@@ -93,6 +93,16 @@ pub extern "C" fn aplomb_compass_stale(
     })
 }
 
+/// Returns whether the full scales have to be read back, as `aplomb_awaits_scale_check` does.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_awaits_scale_check(
+    pipeline: Option<&mut AplombCompassPipeline>,
+) -> bool {
+    let state = state::with_compass(pipeline);
+    state.is_ok_and(|state| state.pipeline.pipeline().awaits_scale_check())
+}
+
 /// Switches between ground and flight like `aplomb_set_armed`.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]

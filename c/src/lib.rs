@@ -24,13 +24,14 @@ use core::ffi::{CStr, c_char};
 
 use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
-use aplomb::health::{BoardFlags, Flags};
+use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{Burst, Step};
 use aplomb::pipeline::{Pipeline, Snapshot};
 
 pub use compass::{
-    AplombField, aplomb_compass_init, aplomb_compass_set_armed, aplomb_compass_stale,
-    aplomb_compass_update_burst, aplomb_compass_update_field, aplomb_compass_update_sample,
+    AplombField, aplomb_compass_awaits_scale_check, aplomb_compass_init, aplomb_compass_set_armed,
+    aplomb_compass_stale, aplomb_compass_update_burst, aplomb_compass_update_field,
+    aplomb_compass_update_sample,
 };
 pub use record::{
     APLOMB_RECORD_BYTES, AplombCalibration, AplombRecord, aplomb_decode_record,
@@ -91,6 +92,9 @@ pub const APLOMB_FLAG_HEADING_VALID: u32 = 1_u32 << 19;
 pub const APLOMB_FLAG_COMPASS_FAULT: u32 = 1_u32 << 20;
 /// Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
 pub const APLOMB_FLAG_VIBRATION: u32 = 1_u32 << 21;
+/// The full scales have been read back since the previous burst, and are right. The caller reports
+/// it. No attitude has this flag.
+pub const APLOMB_FLAG_SCALES_VERIFIED: u32 = 1_u32 << 31;
 
 /// Result of a function. `aplomb_status_text` describes it.
 #[repr(C)]
@@ -163,7 +167,7 @@ pub struct AplombBurst {
     /// Zero; reserved.
     pub reserved: u8,
     /// Flags that the caller reports: bus fault, sensor reset, late, polled, internal clock,
-    /// compass fault.
+    /// compass fault, scales verified.
     pub board_flags: u32,
 }
 
@@ -175,7 +179,7 @@ impl AplombBurst {
             captured_at_us: self.captured_at_us,
             missed_before: self.missed_before,
         };
-        let board = BoardFlags::from_bits_truncate(self.board_flags & Flags::all().bits());
+        let board = BoardFlags::from_bits_truncate(self.board_flags);
         (burst, board)
     }
 }
@@ -378,6 +382,15 @@ pub extern "C" fn aplomb_stale(
     with(pipeline, Some(&t_us), snapshot, |pipeline, t_us| {
         pipeline.stale(*t_us, BoardFlags::empty())
     })
+}
+
+/// Returns whether the rate has jumped as if the gyroscope's full scale had changed. Then read the
+/// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst if they are right.
+/// Until then no attitude is valid. False without a pipeline, or unless `verifies_scales` is set.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_awaits_scale_check(pipeline: Option<&mut AplombPipeline>) -> bool {
+    state::pipeline(pipeline).is_ok_and(|pipeline| pipeline.awaits_scale_check())
 }
 
 /// Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity

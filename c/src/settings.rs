@@ -71,6 +71,11 @@ pub struct AplombSettings {
     pub compass_knowledge: u32,
     /// Declination of the place, rad, east positive: the heading is then from true north.
     pub declination_rad: f32,
+    /// Not 0 if the caller reads the sensor's full scales back while `aplomb_awaits_scale_check`
+    /// returns true, and then reports `APLOMB_FLAG_SCALES_VERIFIED`.
+    pub verifies_scales: u8,
+    /// Zero; reserved.
+    pub reserved: [u8; 3],
     /// Calibration of the sensor.
     pub calibration: AplombCalibration,
 }
@@ -97,6 +102,7 @@ impl AplombSettings {
         sensor.sample_rate_divider = self.sample_rate_divider;
         settings.mount = mount.ok_or(AplombStatus::WrongMount)?;
         settings.calibration = self.calibration.checked()?;
+        settings.verifies_scales = self.verifies_scales != 0;
         settings.sensor_delay_us = u32::try_from(self.sensor_delay_us).ok();
         if (settings.sensor_delay_us).is_some_and(|delay_us| delay_us > LONGEST_DELAY_US) {
             return Err(AplombStatus::WrongDelay);
@@ -165,6 +171,8 @@ pub extern "C" fn aplomb_default_settings() -> AplombSettings {
         accelerometer_knowledge: AplombAccelerometerKnowledge::ByCalibration as u32,
         compass_knowledge: AplombCompassKnowledge::ByCalibration as u32,
         declination_rad: 0.0,
+        verifies_scales: 0,
+        reserved: [0; 3],
         calibration: AplombCalibration::default(),
     }
 }

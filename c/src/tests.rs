@@ -80,6 +80,8 @@ fn updates_by_chance_give_finite_attitudes() {
             aplomb_compass_update_field(Some(&mut compass), Some(&field)),
         ];
         assert_eq!(statuses, [AplombStatus::Ok; 5]);
+        assert!(!aplomb_awaits_scale_check(Some(&mut plain)));
+        assert!(!aplomb_compass_awaits_scale_check(Some(&mut compass)));
         assert!(snapshot.attitude.into_iter().all(f32::is_finite));
         assert_eq!(snapshot.attitude, other.attitude);
     }

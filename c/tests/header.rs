@@ -1,8 +1,9 @@
 //! The header is that of the code.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use aplomb::health::Flags;
+use aplomb::health::{BoardFlags, Flags};
 
 /// Text at the head of the header.
 const HEAD: &str = "\
@@ -71,11 +72,19 @@ fn the_header_is_that_of_the_code() {
 #[test]
 fn the_flags_are_those_of_the_library() {
     let header = header();
-    for (name, flag) in Flags::all().iter_names() {
-        let bit = flag.bits().trailing_zeros();
-        let line = format!("#define APLOMB_FLAG_{name} (1u << {bit})\n");
+    let of_snapshots = Flags::all()
+        .iter_names()
+        .map(|(name, flag)| (name, flag.bits()));
+    let of_callers = BoardFlags::all()
+        .iter_names()
+        .map(|(name, flag)| (name, flag.bits()));
+    let flags: BTreeMap<&str, u32> = of_snapshots.chain(of_callers).collect();
+    for (name, bits) in &flags {
+        let line = format!(
+            "#define APLOMB_FLAG_{name} (1u << {})\n",
+            bits.trailing_zeros()
+        );
         assert!(header.contains(&line), "the header lacks {line}");
     }
-    let flags = header.matches("#define APLOMB_FLAG_").count();
-    assert_eq!(flags, Flags::all().iter().count());
+    assert_eq!(header.matches("#define APLOMB_FLAG_").count(), flags.len());
 }

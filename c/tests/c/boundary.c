@@ -49,7 +49,7 @@ static void settings_are_checked(void)
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_OK);
     wrong.accelerometer_knowledge = 4;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);
-    for (uint32_t status = 0; status < 17; status++) {
+    for (uint32_t status = 0; status < 19; status++) {
         assert(strlen(aplomb_status_text(status)) > 3);
     }
     assert(aplomb_status_text(0xFFFFFFFFu) != NULL);
@@ -277,6 +277,42 @@ static void samples_give_the_attitudes_of_their_bursts(void)
     assert(of_sample.flags & APLOMB_FLAG_VALID);
 }
 
+/* A jump of the rate waits for the caller only if the caller has promised to look. */
+static void a_rate_jump_waits_for_the_full_scales(void)
+{
+    AplombSettings settings = aplomb_default_settings();
+    for (uint8_t verifies = 0; verifies < 2; verifies++) {
+        AplombSnapshot snapshot, of_compass;
+        AplombBurst burst = {0};
+        settings.verifies_scales = verifies;
+        assert(aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK);
+        assert(aplomb_compass_init(&with_compass, &settings) == APLOMB_STATUS_OK);
+        burst.bytes[4] = 8;    /* level */
+        burst.bytes[6] = 0xF0; /* 25 degrees Celsius */
+        for (unsigned i = 1; i < 3003; i++) {
+            burst.captured_at_us = 1000u * i;
+            burst.bytes[1] = (uint8_t)(chance() % 4);
+            burst.bytes[13] = (uint8_t)(chance() % 4);
+            if (i == 3000) {
+                assert(snapshot.flags & APLOMB_FLAG_VALID);
+                assert(!aplomb_awaits_scale_check(&pipeline));
+            }
+            if (i >= 3000) {
+                burst.bytes[12] = 5; /* 78 degrees per second */
+            }
+            burst.board_flags = i == 3002 ? APLOMB_FLAG_SCALES_VERIFIED : 0;
+            aplomb_update_burst(&pipeline, &burst, &snapshot);
+            aplomb_compass_update_burst(&with_compass, &burst, &of_compass);
+            bool waits = verifies && (i == 3000 || i == 3001);
+            assert(aplomb_awaits_scale_check(&pipeline) == waits);
+            assert(aplomb_compass_awaits_scale_check(&with_compass) == waits);
+            assert(!waits || !((snapshot.flags | of_compass.flags) & APLOMB_FLAG_VALID));
+        }
+        assert(snapshot.flags & of_compass.flags & APLOMB_FLAG_VALID);
+        assert(!(snapshot.flags & APLOMB_FLAG_SCALES_VERIFIED));
+    }
+}
+
 static void null_pointers_are_refused(void)
 {
     AplombSnapshot snapshot;
@@ -299,6 +335,7 @@ static void null_pointers_are_refused(void)
     assert(aplomb_stale(NULL, 0, &snapshot) == none);
     assert(aplomb_stale(&pipeline, 0, NULL) == none);
     assert(aplomb_set_armed(NULL, true) == none);
+    assert(!aplomb_awaits_scale_check(NULL) && !aplomb_compass_awaits_scale_check(NULL));
     assert(aplomb_encode_record(&calibration, NULL) == none);
     assert(aplomb_decode_record(&record, NULL) == none);
     assert(aplomb_compass_update_burst(NULL, &burst, &snapshot) == none);
@@ -461,6 +498,7 @@ int main(void)
     records_read_back();
     calibrations_that_no_sensor_has_are_refused();
     samples_give_the_attitudes_of_their_bursts();
+    a_rate_jump_waits_for_the_full_scales();
     null_pointers_are_refused();
     memory_without_a_pipeline_is_refused();
     wild_inputs_give_finite_attitudes();

@@ -12,6 +12,7 @@ I2C_HandleTypeDef hi2c1;
 
 static int writes, waited_ms, reads;
 static uint8_t registers[256];
+static int rate_deg_s;
 
 HAL_StatusTypeDef HAL_I2C_Mem_Write(I2C_HandleTypeDef *port, uint16_t device, uint16_t address,
                                     uint16_t address_size, uint8_t *data, uint16_t size,
@@ -24,7 +25,7 @@ HAL_StatusTypeDef HAL_I2C_Mem_Write(I2C_HandleTypeDef *port, uint16_t device, ui
     return HAL_OK;
 }
 
-/* At rest and level, face up, with a little noise; the tenth read fails. */
+/* Level, face up, turning about down at `rate_deg_s`, with a little noise. The tenth read fails. */
 HAL_StatusTypeDef HAL_I2C_Mem_Read(I2C_HandleTypeDef *port, uint16_t device, uint16_t address,
                                    uint16_t address_size, uint8_t *data, uint16_t size,
                                    uint32_t timeout_ms)
@@ -42,7 +43,10 @@ HAL_StatusTypeDef HAL_I2C_Mem_Read(I2C_HandleTypeDef *port, uint16_t device, uin
     }
     memcpy(data, level, 14);
     data[1] = (uint8_t)(reads % 7);
-    data[13] = (uint8_t)(reads % 3);
+    /* Full scale is 250, 500, 1000 or 2000 degrees per second. */
+    int counts = rate_deg_s * (131 >> (registers[0x1B] >> 3)) + reads % 3;
+    data[12] = (uint8_t)(counts >> 8);
+    data[13] = (uint8_t)counts;
     return HAL_OK;
 }
 
@@ -82,6 +86,20 @@ int main(void)
     }
     assert(registers[0x1B] == 0x18 && (seen & APLOMB_FLAG_SENSOR_RESET));
     assert(fabsf(snapshot.roll_rad) < 0.01f && fabsf(snapshot.pitch_rad) < 0.01f);
+
+    /* In a turn the rate jumps: no wrong attitude is valid, and the next poll restores the scale. */
+    uint64_t turning_us = 3050000;
+    for (; turning_us < 3094000; turning_us += 1000) {
+        rate_deg_s = (int)(turning_us - 3050000) / 4000;
+        attitude_edge(turning_us);
+        assert(attitude_poll(&snapshot) && (snapshot.flags & APLOMB_FLAG_VALID));
+    }
+    registers[0x1B] = 0;
+    attitude_edge(turning_us);
+    assert(attitude_poll(&snapshot) && !(snapshot.flags & APLOMB_FLAG_VALID));
+    assert(registers[0x1B] == 0x18);
+    attitude_edge(turning_us + 1000);
+    assert(attitude_poll(&snapshot) && (snapshot.flags & APLOMB_FLAG_SENSOR_RESET));
 
     const float force[3] = {0.0f, 4.903f, 8.493f}, rate[3] = {0.0f, 0.0f, 0.0f};
     bool is_valid = false;
