@@ -281,7 +281,10 @@ impl ReadOptions {
             );
         }
         if compass.is_some() && self.compass.is_some() {
-            return refuse("it states what is known of the compass: leave --compass out");
+            return refuse(
+                "it calibrates the compass too: leave --compass out, or, if the recording's field \
+                 is calibrated already, leave \"compass\" out of the file",
+            );
         }
         let has_compass = matches!(form, Form::Log(columns) if columns.has_compass());
         if sensors == Calibration::NONE && !has_compass {
