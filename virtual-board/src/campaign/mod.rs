@@ -25,6 +25,7 @@ mod compass;
 mod conditions;
 mod coverage;
 mod episodes;
+mod free_time;
 mod journal;
 mod judge;
 mod slots;
