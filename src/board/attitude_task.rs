@@ -82,7 +82,12 @@ impl AttitudeTask {
         after_publication: impl FnOnce(&ReceivedBurst, &Snapshot),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
-            let snapshot = pipeline.update(&received.burst, received.flags);
+            let mut snapshot = pipeline.update(&received.burst, received.flags);
+            if burst_reader::is_bus_held() {
+                // The rates of this burst may be false.
+                snapshot.flags.remove(Flags::VALID);
+                snapshot.flags |= Flags::BUS_FAULT | Flags::DEGRADED;
+            }
             publish(&snapshot);
             after_publication(received, &snapshot);
             snapshot

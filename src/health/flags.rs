@@ -56,7 +56,8 @@ bitflags::bitflags! {
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.
         const STALE = 1 << 12;
-        /// Bursts have failed since the previous sample.
+        /// Bursts have failed since the previous sample. Without [`Flags::VALID`]: the bus is held
+        /// after the burst of this sample, whose rates may be false.
         const BUS_FAULT = 1 << 13;
         /// The sensor had lost its settings, and has been or is being reconfigured.
         const SENSOR_RESET = 1 << 14;

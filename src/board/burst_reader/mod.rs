@@ -39,6 +39,7 @@ mod transaction;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
 pub use link::{enable, failures, flag_sensor_reset, is_enabled, pause, request_check, take_stale};
+pub use port::is_bus_held;
 
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU8, Ordering, compiler_fence};
