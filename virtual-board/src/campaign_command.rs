@@ -163,7 +163,13 @@ fn open_journal(options: &Faults) -> Result<(Results, BTreeSet<u64>), String> {
     let unusable = |error| format!("cannot use {}: {error}", path.display());
     let firmware = fs::read(&options.elf)
         .map_err(|error| format!("cannot read {}: {error}", options.elf.display()))?;
-    let head = format!("firmware {:016x}", fnv_1a(&firmware));
+    let judge = std::env::current_exe().and_then(fs::read);
+    let judge = judge.map_err(|error| format!("cannot read the program itself: {error}"))?;
+    let head = format!(
+        "firmware {:016x} judge {:016x}",
+        fnv_1a(&firmware),
+        fnv_1a(&judge)
+    );
     fs::create_dir_all(&options.output).map_err(unusable)?;
     let text = if options.resume {
         fs::read_to_string(&path).map_err(unusable)?
@@ -172,7 +178,8 @@ fn open_journal(options: &Faults) -> Result<(Results, BTreeSet<u64>), String> {
     };
     if options.resume && text.lines().next() != Some(&head) {
         return Err(unusable(std::io::Error::other(
-            "it is of another firmware: leave --resume out to start again",
+            "it is of another firmware or of another build of this program: leave --resume out to \
+             start again",
         )));
     }
     // The flight of a line that was cut is flown again.
@@ -206,7 +213,7 @@ fn open_journal(options: &Faults) -> Result<(Results, BTreeSet<u64>), String> {
     Ok((results, flown))
 }
 
-/// The 64-bit FNV-1a hash of an image.
+/// The 64-bit FNV-1a hash of a file's bytes.
 fn fnv_1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)

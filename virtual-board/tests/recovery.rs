@@ -701,7 +701,7 @@ fn interrupts_at_8_khz_starve_nobody() {
 }
 
 /// Flights of campaigns that broke a rule, each by another flaw: seed, faults, and the flaw.
-const ONCE_FAILED: [(u64, &str, &str); 20] = [
+const ONCE_FAILED: [(u64, &str, &str); 21] = [
     (
         160_000_236,
         "1.82518 0 watchdog-hang\n",
@@ -795,6 +795,11 @@ const ONCE_FAILED: [(u64, &str, &str); 20] = [
         "1.808143 0 register-flip:0x37:0xea\n2.270533 0.026512 int-missing\n\
          2.784981 0.007372 dma-error\n",
         "a changed setting had latched the pin, and after the repair nothing ended that",
+    ),
+    (
+        40_222,
+        "1.837622 0 sda-low:7:0x73\n",
+        "a burst whose end the sensor had not sent was valid, with rates wrong by 148 degrees/s",
     ),
     (
         700_001_648,

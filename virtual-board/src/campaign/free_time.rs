@@ -1,27 +1,62 @@
 //! The rules for the time without a fault.
 
 use aplomb::health::Flags;
+use aplomb_models::sensor::DataReady;
 
+use super::episodes::Episode;
 use super::judge::{COVERED_NS, Judge, Publication, seconds};
+use super::{Case, RESET_DEADLINE_NS, deadline_ns};
+use crate::faults::FaultKind;
+use crate::recorder::Sample;
 
 /// The share of fault-free time in which the attitude must be valid.
 const VALID_SHARE: f64 = 0.995;
 
-/// Flags that show a fault of the sensor, its bus or its interrupt, while it lasts.
-const OF_A_FAULT: Flags = Flags::INVALIDATING
+/// Flags that need a cause, which may be over for some of them.
+const OF_A_CAUSE: Flags = Flags::INVALIDATING
     .union(Flags::MISSED)
     .union(Flags::GAP)
     .union(Flags::BUS_FAULT)
     .union(Flags::SENSOR_RESET)
     .union(Flags::LATE)
-    .union(Flags::POLLED);
+    .union(Flags::POLLED)
+    .union(Flags::ACCELEROMETER_SATURATED)
+    .union(Flags::VIBRATION)
+    .union(Flags::COMPASS_FAULT)
+    .union(Flags::INTERNAL_CLOCK);
+
+/// Flags of an attitude by the internal oscillator.
+const BY_INTERNAL_OSCILLATOR: Flags = Flags::INTERNAL_CLOCK.union(Flags::DEGRADED);
+
+/// The longest time without a cause in which attitudes may be degraded, ns: motion begins, and the
+/// filter doubts its offset until the motion confirms it.
+const DOUBT_NS: u64 = 1_000_000_000;
+
+/// The shortest pause of the samples that may leave an uncertain tilt, ns.
+const UNCERTAIN_NS: u64 = 50_000_000;
+
+/// The largest allowed error of the rates: degrees per second, and a share of the true rates. An
+/// offset that motion alone has shown, the sensor's scale and its noise are within.
+const ALLOWED_RATE_DEG_S: f64 = 6.0;
+const ALLOWED_RATE_SHARE: f64 = 0.05;
+
+/// Number of edges from the motion that a sample shows to its own edge, and their longest time, ns:
+/// the delay of the sensor's low-pass filter is 1.9 ms.
+const EDGES_OF_DELAY: usize = 2;
+const LONGEST_DELAY_NS: u64 = 3_000_000;
+
+/// The timer captures an edge some of its clock's cycles later, µs.
+const SYNCHRONISED_US: f64 = 0.1;
+
+/// The time that the timer loses when the crystal dies, at most, µs.
+const LOST_WITH_CRYSTAL_US: f64 = 30.0;
 
 /// From an edge to the end of its burst, and some more, ns.
 const IN_FLIGHT_NS: u64 = 1_000_000;
 
 impl Judge<'_> {
     /// Checks that the attitude is valid between the episodes.
-    pub(super) fn check_fault_free_time(&self, failures: &mut Vec<String>) {
+    pub(super) fn check_fault_free_time(&self, case: &Case, failures: &mut Vec<String>) {
         // While σ falls at a start, it may pass its limit more than once.
         let is_settled = |sample: &&Publication| {
             let flags = sample.snapshot.flags;
@@ -68,17 +103,26 @@ impl Judge<'_> {
                 100.0 * share
             ));
         }
-        self.check_traces(&is_free, failures);
+        self.check_traces(case, &is_free, failures);
         self.check_samples(&is_free, failures);
         self.check_times(&is_free, failures);
+        self.check_doubt(case, &is_free, failures);
+        self.check_clock(case, &is_free, failures);
+        self.check_rates(&is_free, failures);
     }
 
-    /// Checks that no fault leaves its flags behind.
-    fn check_traces(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
-        let mut flagged = self
-            .published
-            .iter()
-            .filter(|sample| is_free(sample.at_ns) && sample.snapshot.flags.intersects(OF_A_FAULT));
+    /// Checks that each flag has a cause, and that no fault leaves its flags behind.
+    fn check_traces(
+        &self,
+        case: &Case,
+        is_free: &impl Fn(u64) -> bool,
+        failures: &mut Vec<String>,
+    ) {
+        let has_no_cause = |sample: &&Publication| {
+            let flags = sample.snapshot.flags & OF_A_CAUSE;
+            is_free(sample.at_ns) && !self.explained(case, sample.at_ns).contains(flags)
+        };
+        let mut flagged = self.published.iter().filter(has_no_cause);
         if let Some(first) = flagged.next() {
             failures.push(format!(
                 "{} attitudes flagged without a fault, the first with {} at {} s",
@@ -87,6 +131,50 @@ impl Judge<'_> {
                 seconds(first.at_ns)
             ));
         }
+    }
+
+    /// Checks that attitudes are not degraded for long without a cause.
+    fn check_doubt(&self, case: &Case, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let mut since_ns = None;
+        for sample in &self.published {
+            let is_doubt = sample.snapshot.flags.contains(Flags::DEGRADED)
+                && is_free(sample.at_ns)
+                && !self.explained(case, sample.at_ns).contains(Flags::DEGRADED);
+            since_ns = is_doubt.then(|| since_ns.unwrap_or(sample.at_ns));
+            if since_ns.is_some_and(|since_ns| sample.at_ns - since_ns > DOUBT_NS) {
+                failures.push(format!(
+                    "degraded for more than a second without a cause, until {} s",
+                    seconds(sample.at_ns)
+                ));
+                return;
+            }
+        }
+    }
+
+    /// Returns the flags that may be left of what happened before this time.
+    fn explained(&self, case: &Case, at_ns: u64) -> Flags {
+        let mut explained = Flags::empty();
+        explained.set(BY_INTERNAL_OSCILLATOR, case.conditions.lacks_crystal);
+        for episode in self.episodes.iter().filter(|it| it.start_ns < at_ns) {
+            if episode.has_save || leaves_uncertain(episode) {
+                explained |= Flags::DEGRADED;
+            }
+            // After a fault of the bus the firmware starts the compass anew.
+            let may_stop_compass = |kind| {
+                !matches!(
+                    kind,
+                    FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach
+                )
+            };
+            let mut kinds = episode.faults.iter().map(|fault| fault.kind);
+            if episode.has_save || kinds.clone().any(may_stop_compass) {
+                explained |= Flags::COMPASS_FAULT;
+            }
+            if kinds.any(|kind| kind == FaultKind::CrystalDies) {
+                explained |= BY_INTERNAL_OSCILLATOR;
+            }
+        }
+        explained
     }
 
     /// Checks that each edge without a fault has its sample.
@@ -154,4 +242,88 @@ impl Judge<'_> {
             ));
         }
     }
+
+    /// Checks that each time is that of its edge, in whole microseconds.
+    fn check_clock(&self, case: &Case, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let faults = || case.schedule.faults.iter();
+        let has_lost_time = |at_ns: u64| {
+            faults().any(|fault| fault.kind == FaultKind::CrystalDies && fault.start_ns < at_ns)
+        };
+        let late_us = |sample: &Sample| {
+            let edge = free_edge(sample, is_free)?;
+            let late_us = sample.snapshot.t_us as f64 - sample.true_t_us?;
+            let allowed_us = if has_lost_time(edge.time_ns) {
+                LOST_WITH_CRYSTAL_US
+            } else {
+                1.0
+            };
+            (!(-allowed_us..=SYNCHRONISED_US).contains(&late_us)).then_some((late_us, edge.time_ns))
+        };
+        let mut wrong = self.record.samples.iter().filter_map(late_us);
+        if let Some((late_us, at_ns)) = wrong.next() {
+            failures.push(format!(
+                "{} times were not those of their edges, the first off by {late_us:.1} us at {} s",
+                1 + wrong.count(),
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Checks the rates of certain attitudes, at the time of the motion that their samples show.
+    fn check_rates(&self, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+        let is_certain = |sample: &&Sample| {
+            let flags = sample.snapshot.flags;
+            let uncertain = Flags::DEGRADED | Flags::CALIBRATING;
+            flags.contains(Flags::VALID) && !flags.intersects(uncertain)
+        };
+        let wrong_deg_s = |sample: &Sample| {
+            let edge = free_edge(sample, is_free)?;
+            let truth = self.shown_by(&edge)?.truth.body_rates_rad_s;
+            let rates = sample.snapshot.body_rates_rad_s;
+            let rates = [rates.x, rates.y, rates.z].map(f64::from);
+            let error: [f64; 3] = std::array::from_fn(|axis| rates[axis] - truth[axis]);
+            let error_deg_s = length(error).to_degrees();
+            let allowed_deg_s =
+                ALLOWED_RATE_DEG_S + ALLOWED_RATE_SHARE * length(truth).to_degrees();
+            // False for NaN.
+            let is_allowed = error_deg_s <= allowed_deg_s;
+            (!is_allowed).then_some((error_deg_s, edge.time_ns))
+        };
+        let certain = self.record.samples.iter().filter(is_certain);
+        let mut wrong = certain.filter_map(wrong_deg_s);
+        if let Some((error_deg_s, at_ns)) = wrong.next() {
+            failures.push(format!(
+                "{} rates were wrong, the first by {error_deg_s:.1} degrees/s at {} s",
+                1 + wrong.count(),
+                seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Returns the edge at whose time the motion was that of the sample of this edge.
+    fn shown_by(&self, edge: &DataReady) -> Option<&DataReady> {
+        let edges = &self.record.edges;
+        let place = edges.binary_search_by_key(&edge.index, |edge| edge.index);
+        let shown = edges.get(place.ok()?.checked_sub(EDGES_OF_DELAY)?)?;
+        (edge.time_ns - shown.time_ns <= LONGEST_DELAY_NS).then_some(shown)
+    }
+}
+
+/// Returns true if σ may still be large after an episode: the core started again, the data were
+/// wrong, or no samples came for a while.
+fn leaves_uncertain(episode: &Episode) -> bool {
+    let may = |kind| deadline_ns(kind).is_some_and(|due_ns| due_ns >= RESET_DEADLINE_NS);
+    let stops = |kind| deadline_ns(kind).is_some();
+    let mut kinds = episode.faults.iter().map(|fault| fault.kind);
+    kinds.clone().any(may) || kinds.any(stops) && episode.end_ns - episode.start_ns >= UNCERTAIN_NS
+}
+
+/// Returns the edge of a sample, if it is known and there is no fault at that time.
+fn free_edge(sample: &Sample, is_free: &impl Fn(u64) -> bool) -> Option<DataReady> {
+    let edge = sample.edge.filter(|_| sample.is_new);
+    edge.filter(|edge| is_free(edge.time_ns))
+}
+
+fn length(vector: [f64; 3]) -> f64 {
+    vector.iter().map(|part| part * part).sum::<f64>().sqrt()
 }

@@ -11,12 +11,17 @@ use super::{Case, FaultReport, Report};
 use crate::faults::{FaultKind, ScheduledFault};
 use crate::flight::UartLine;
 use crate::profile::CRASHES;
-use crate::recorder::Record;
+use crate::recorder::{Record, Sample};
 use crate::summary::{estimate, valid_heading_deg};
 
 /// The largest allowed error of a valid tilt: degrees, and multiples of σ.
 const ALLOWED_DEG: f64 = 5.0;
 const ALLOWED_SIGMAS: f64 = 6.0;
+
+/// σ of the tilt above which an attitude must be degraded, and from which it must not be valid,
+/// degrees: six σ are then half a turn.
+const DEGRADED_SIGMA_DEG: f64 = 5.0;
+const LOST_SIGMA_DEG: f64 = 30.0;
 
 /// The largest allowed error of a valid heading, degrees, or as many σ.
 const ALLOWED_HEADING_DEG: f64 = 15.0;
@@ -52,7 +57,8 @@ pub fn judge(case: &Case, record: &Record, uart_lines: &[UartLine]) -> Report {
     super::compass::check_flags(case, record, &mut report.failures);
     judge.check_heading(&mut report.failures);
     judge.check_recovery(case, &mut report);
-    judge.check_fault_free_time(&mut report.failures);
+    judge.check_flags(&mut report.failures);
+    judge.check_fault_free_time(case, &mut report.failures);
     judge.check_silence(case, &mut report.failures);
     report
 }
@@ -157,6 +163,40 @@ impl Judge<'_> {
                 "{count} attitudes published as valid were wrong, \
                  the worst by {error_deg:.1} degrees with a sigma of {sigma_deg:.2} at {} s",
                 seconds(at_ns)
+            ));
+        }
+    }
+
+    /// Checks that the flags fit σ, and that no attitude is valid without a whole new burst.
+    fn check_flags(&self, failures: &mut Vec<String>) {
+        let is_wrong = |snapshot: &Snapshot| {
+            let sigma_deg = f64::from(snapshot.tilt_sigma_rad()).to_degrees();
+            let (is_valid, is_degraded) = (
+                snapshot.flags.contains(Flags::VALID),
+                snapshot.flags.contains(Flags::DEGRADED),
+            );
+            // Either is false for NaN.
+            let (is_certain, is_known) =
+                (sigma_deg <= DEGRADED_SIGMA_DEG, sigma_deg < LOST_SIGMA_DEG);
+            is_valid && !is_known || !is_degraded && !is_certain
+        };
+        let mut wrong = self.published.iter().filter(|it| is_wrong(&it.snapshot));
+        if let Some(first) = wrong.next() {
+            failures.push(format!(
+                "{} attitudes with flags that deny their sigma, the first with {} at {} s",
+                1 + wrong.count(),
+                first.snapshot.flags,
+                seconds(first.at_ns)
+            ));
+        }
+        let is_old =
+            |sample: &&Sample| !sample.is_new && sample.snapshot.flags.contains(Flags::VALID);
+        let mut old = self.record.samples.iter().filter(is_old);
+        if let Some(first) = old.next() {
+            failures.push(format!(
+                "{} attitudes were valid without a whole new burst, the first at {} s",
+                1 + old.count(),
+                seconds(first.published_ns)
             ));
         }
     }
@@ -311,26 +351,27 @@ impl Judge<'_> {
             .windows(2)
             .map(|pair| pair[0]..pair[1])
             .filter(|pause| !self.is_allowed(case, pause))
-            .map(|pause| (pause.end - pause.start, pause.start))
+            .map(|pause| (self.awake_ns(case, &pause), pause.start))
             .max_by_key(|&(gap_ns, _)| gap_ns)
     }
 
     /// Returns true if a pause may be of any length.
     fn is_allowed(&self, case: &Case, pause: &Range<u64>) -> bool {
-        self.is_of_stopped_core(case, pause)
-            || is_of_erase(case, pause)
+        is_of_erase(case, pause)
             || self.is_of_start_without_sensor(case, pause)
             || self.is_of_reset(pause)
     }
 
-    /// Returns true if the core executes nothing in a part of the pause. A hang ends at its reset.
-    fn is_of_stopped_core(&self, case: &Case, pause: &Range<u64>) -> bool {
-        let mut faults = case.schedule.faults.iter();
-        faults.any(|fault| {
+    /// Returns the part of a pause in which the core runs, ns. A hang ends at its reset.
+    fn awake_ns(&self, case: &Case, pause: &Range<u64>) -> u64 {
+        let stops = |fault: &&ScheduledFault| {
             matches!(fault.kind, FaultKind::CoreStall | FaultKind::WatchdogHang)
-                && fault.start_ns < pause.end
-                && end_ns(fault, self.record) > pause.start
-        })
+        };
+        let stopped = case.schedule.faults.iter().filter(stops).map(|fault| {
+            let end_ns = end_ns(fault, self.record).min(pause.end);
+            end_ns.saturating_sub(fault.start_ns.max(pause.start))
+        });
+        (pause.end - pause.start).saturating_sub(stopped.sum())
     }
 
     /// Returns true if the pause begins in a start without the sensor, which sends no telemetry.

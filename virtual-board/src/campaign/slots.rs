@@ -1,5 +1,7 @@
 //! The calibration slots of a flight with a `save`: the record before it, and the one after it.
 
+use aplomb::attitude::Quaternion;
+use aplomb::calibration::Mount;
 use aplomb::settings::{Record, storage};
 
 use crate::flight::UartLine;
@@ -10,11 +12,26 @@ const STORED_HZ: u16 = 25;
 /// Rate of the telemetry in the record that a save stores, Hz.
 pub(super) const SAVED_HZ: u16 = 40;
 
-/// Returns slots with a stored record.
+/// Returns slots with the record before a save.
 pub(super) fn with_record() -> Vec<u8> {
+    Slots::with_record(&record_with(STORED_HZ)).0
+}
+
+/// Returns a record with this rate. Calibration, preferences and settings of the compass differ
+/// from the defaults, and change no flight: the level by 0.06°, the declination by as much.
+fn record_with(rate_hz: u16) -> Record {
     let mut record = Record::default();
-    record.preferences.rate_hz = STORED_HZ;
-    Slots::with_record(&record).0
+    record.calibration.mount = Some(Mount::Z_UP);
+    record.calibration.level = Some(Quaternion {
+        w: 1.0,
+        x: 5.0e-4,
+        y: 0.0,
+        z: 0.0,
+    });
+    record.preferences.rate_hz = rate_hz;
+    record.compass.mount = Some(Mount::Z_UP);
+    record.compass.declination_rad = 1.0e-3;
+    record
 }
 
 /// Checks that a save leaves the old record or the new one, as its message reports. `slots` are the
@@ -27,7 +44,6 @@ pub(super) fn check(
 ) {
     let mut slots = Slots(slots.to_vec());
     let found = storage::load(&mut slots).record;
-    let rate_hz = found.map(|record| record.preferences.rate_hz);
     let reports = |text: &str| lines.iter().any(|line| line.text.contains(text));
     let allowed: &[u16] = match (reports("done save"), reports("failed save")) {
         (true, _) => &[SAVED_HZ],
@@ -37,9 +53,10 @@ pub(super) fn check(
     if allowed.len() > 1 && !may_be_silent {
         failures.push("the save had no answer: neither done nor failed".into());
     }
-    if !rate_hz.is_some_and(|rate_hz| allowed.contains(&rate_hz)) {
+    let is_allowed = |&rate_hz: &u16| found == Some(record_with(rate_hz));
+    if !allowed.iter().any(is_allowed) {
         failures.push(format!(
-            "the slots hold a record with a rate of {rate_hz:?}, allowed are {allowed:?}"
+            "the slots hold {found:?}, allowed is the record of before with a rate of {allowed:?}"
         ));
     }
 }
@@ -55,17 +72,22 @@ mod tests {
             text: text.into(),
         };
         let old = with_record();
-        let mut saved = Slots(old.clone());
-        let mut record = storage::load(&mut saved).record.unwrap();
-        record.preferences.rate_hz = SAVED_HZ;
-        storage::save(&mut saved, &record).unwrap();
-        let (new, lost) = (saved.0, Slots::erased().0);
+        let saved = |record: &Record| {
+            let mut slots = Slots(old.clone());
+            storage::save(&mut slots, record).unwrap();
+            slots.0
+        };
+        let new = saved(&record_with(SAVED_HZ));
+        let mut without_level = record_with(SAVED_HZ);
+        without_level.calibration.level = None;
+        let (lost, poorer) = (Slots::erased().0, saved(&without_level));
         for (bytes, message, is_sound, may_be_silent) in [
             (&old, "", true, true),
             (&new, "", true, true),
             (&old, "", false, false),
             (&new, "", false, false),
             (&lost, "", false, true),
+            (&poorer, "# done save: stored", false, false),
             (&old, "# done save: stored", false, false),
             (&new, "# done save: stored", true, false),
             (&old, "# failed save: the supply", true, false),

@@ -263,7 +263,8 @@ impl Recorder {
             });
             return;
         }
-        let Some(burst) = self.take_burst(&snapshot) else {
+        let taken = self.take_burst(&snapshot);
+        let Some(burst) = taken.or(self.last_burst) else {
             return;
         };
         self.attitude = self.profile.lock().ok().map(|profile| profile.current());
@@ -285,6 +286,7 @@ impl Recorder {
             is_armed: self.armed.is_some_and(|address| is_armed(host, address)),
             published_ns: hit.at.0,
             burst,
+            is_new: taken.is_some(),
             edge,
             true_t_us: edge.and_then(|edge| self.timer.microseconds(edge.time_ns)),
             instructions: None,
@@ -299,9 +301,9 @@ impl Recorder {
         }
     }
 
-    /// Returns the burst of a snapshot, usually the last one. If the attitude task was late,
-    /// several bursts have come since the snapshot before. Then it is the burst whose edge fits the
-    /// time step that the firmware reports.
+    /// Returns the burst of a snapshot, usually the last one; `None` if none has come since the
+    /// snapshot before. If the attitude task was late, several have. Then it is the burst whose
+    /// edge fits the time step that the firmware reports.
     fn take_burst(&mut self, snapshot: &Snapshot) -> Option<Burst> {
         let edge_ns = |burst: &Burst| {
             let index = burst.edge?;
@@ -319,11 +321,10 @@ impl Recorder {
                 .filter_map(|(place, burst)| Some((place, edge_ns(burst)?)))
                 .min_by_key(|&(_, at_ns)| at_ns.abs_diff(expected_ns))
         });
-        let burst = match nearest {
+        match nearest {
             Some((place, _)) => self.unpublished.drain(..=place).next_back(),
             None => self.unpublished.drain(..).next_back(),
-        };
-        burst.or(self.last_burst)
+        }
     }
 
     /// Records the firmware's counters, if they have changed. Before the firmware's first start the

@@ -21,8 +21,11 @@ pub struct Sample {
     pub is_armed: bool,
     /// Time of publication, ns since power-up.
     pub published_ns: u64,
-    /// The burst that the bus had delivered last.
+    /// The burst that it was made from, as far as its time tells.
     pub burst: Burst,
+    /// True if that burst had not been published before. False too if the firmware took a burst
+    /// for whole that the sensor had not delivered.
+    pub is_new: bool,
     /// The edge that announced the burst's data, with the true motion at that instant.
     pub edge: Option<DataReady>,
     /// The true time of the edge by the firmware's clock, in microseconds with their fraction.
