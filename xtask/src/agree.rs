@@ -63,11 +63,9 @@ fn fly_and_replay(virtual_board: &Path, elf: &Path) -> Result<Vec<PathBuf>, Stri
         let path = recording.to_string_lossy().into_owned();
         flights.push(("recorded", vec!["--log".to_owned(), path]));
     } else {
-        eprintln!(
-            "   skipped: a recorded trial through board, replay and QEMU, as there is no {}; \
-             {} may name the folder of recordings",
-            recording.display(),
-            recordings::VARIABLE
+        step::skip(
+            "a recorded trial through board, replay and QEMU",
+            &recordings::absence(&recording),
         );
     }
     let mut bursts = Vec::new();

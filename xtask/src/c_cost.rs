@@ -37,7 +37,10 @@ const OPTIONS: [&str; 6] = [
 pub fn run() -> Result<(), String> {
     step::timed("the cost of the C library beside Fusion", || {
         if !has_mathematics() {
-            eprintln!("   skipped: {COMPILER} with newlib's mathematics is not installed");
+            step::skip(
+                "the cost of the C library",
+                &format!("{COMPILER} with newlib's mathematics is not installed"),
+            );
             return Ok(());
         }
         setup::qemu()?;
@@ -79,14 +82,14 @@ fn fusion() -> Result<Option<PathBuf>, String> {
         return Ok(Some(source));
     }
     let Some(python) = python::find() else {
-        eprintln!("   skipped: Fusion, because python3 with venv is not installed");
+        step::skip("Fusion", "python3 with venv is not installed");
         return Ok(None);
     };
     let mut pip = python::pip(&python::virtual_environment(&python)?, "download");
     pip.args(["--no-deps", "--no-binary", FUSION, "--dest"]);
     pip.arg(&folder).arg(format!("{FUSION}=={FUSION_VERSION}"));
     if let Err(reason) = step::run(&mut pip) {
-        eprintln!("   skipped: Fusion, because its source cannot be fetched: {reason}");
+        step::skip("Fusion", &format!("its source cannot be fetched: {reason}"));
         return Ok(None);
     }
     let mut tar = step::command(Path::new("tar"));

@@ -71,8 +71,9 @@ fn miri() -> Result<(), String> {
         cargo
     };
     if step::output(&mut miri(&["--version"])).is_none() {
-        eprintln!(
-            "   skipped: Miri is not installed; `rustup +nightly component add miri` installs it"
+        step::skip(
+            "the C library in Miri",
+            "Miri is not installed; `rustup +nightly component add miri` installs it",
         );
         return Ok(());
     }
@@ -89,7 +90,10 @@ fn run_for_cores() -> Result<(), String> {
             .map(|core| library(core, "firmware"))
             .collect::<Result<_, _>>()?;
         if !step::is_installed(COMPILER) {
-            eprintln!("   skipped: no program is linked, because {COMPILER} is not installed");
+            step::skip(
+                "programs with the C library on Cortex-M cores",
+                &format!("{COMPILER} is not installed"),
+            );
             return Ok(());
         }
         setup::qemu()?;
@@ -150,7 +154,10 @@ pub fn program(name: &str) -> Result<PathBuf, String> {
 /// Returns the checksum of this computer; `None` without a compiler.
 fn on_this_computer() -> Result<Option<String>, String> {
     if !step::is_installed("gcc") {
-        eprintln!("   skipped: no comparison with this computer, because gcc is not installed");
+        step::skip(
+            "the cores' comparison with this computer",
+            "gcc is not installed",
+        );
         return Ok(None);
     }
     let mut build = step::host_cargo("build");

@@ -16,12 +16,13 @@ const NOTEBOOK: [&str; 3] = ["nbclient", "ipykernel", "matplotlib"];
 const DRAWN: &str = "tumvi/room1.csv.gz";
 /// Checks the version that `python/pyproject.toml` asks for.
 const IS_NEW_ENOUGH: &str = "import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))";
+const NO_PYTHON: &str = "python3 of version 3.10 or later, with venv, is not installed";
 
 /// Installs and tests the package. Without Python it says so, and passes.
 pub fn run() -> Result<(), String> {
     step::timed("the Python package", || {
         let Some(python) = find() else {
-            eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
+            step::skip("the Python package with its lint", NO_PYTHON);
             return Ok(());
         };
         lint()?;
@@ -31,7 +32,8 @@ pub fn run() -> Result<(), String> {
         install(&PACKAGES)?;
         if let Err(reason) = install(&NOTEBOOK) {
             let packages = NOTEBOOK.join(", ");
-            eprintln!("   skipped: the notebook, because {packages} cannot be installed: {reason}");
+            let reason = format!("{packages} cannot be installed: {reason}");
+            step::skip("the notebook", &reason);
         }
         install(&["./python"])?;
         let program = build::program()?;
@@ -78,7 +80,7 @@ fn lint() -> Result<(), String> {
 pub fn package(folder: &Path) -> Result<(), String> {
     step::timed("the Python wheel and its sources", || {
         let Some(python) = find() else {
-            eprintln!("   skipped: python3 of version 3.10 or later, with venv, is not installed");
+            step::skip("the Python wheel and its sources", NO_PYTHON);
             return Ok(());
         };
         let python = virtual_environment(&python)?;

@@ -1,10 +1,16 @@
 //! The folder of public recordings, which is no part of the project.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Names the folder of recordings if it is not the usual one.
 pub const VARIABLE: &str = "APLOMB_RECORDINGS";
 const USUAL_FOLDER: &str = "../shared/data";
+
+/// Returns the reason for which work is skipped that needs this recording, or this folder of them.
+pub fn absence(path: &Path) -> String {
+    let path = path.display();
+    format!("there is no {path}; {VARIABLE} may name the folder of recordings")
+}
 
 /// Returns the folder of recordings, which need not exist.
 pub fn folder() -> PathBuf {

@@ -2,7 +2,11 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
+
+/// Work that this run has skipped.
+static SKIPPED: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
 /// A command that runs in the workspace's folder, free of what the outer cargo left in the
 /// environment.
@@ -69,6 +73,27 @@ pub fn timed<T>(what: &str, work: impl FnOnce() -> Result<T, String>) -> Result<
     Ok(result)
 }
 
+/// Reports that work is skipped, and the reason. [`summary`] names it again.
+pub fn skip(work: &str, reason: &str) {
+    eprintln!("   skipped: {work}, because {reason}");
+    let mut skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
+    skipped.push(work.to_owned());
+}
+
+/// Returns the last line of a run that has passed: its duration, and all work that it has skipped.
+pub fn summary(start: Instant) -> String {
+    let skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
+    summary_of(start.elapsed().as_secs_f64(), &skipped)
+}
+
+fn summary_of(seconds: f64, skipped: &[String]) -> String {
+    if skipped.is_empty() {
+        return format!("all passed in {seconds:.0} s");
+    }
+    let skipped = skipped.join("; ");
+    format!("passed in {seconds:.0} s; skipped: {skipped}")
+}
+
 /// Returns true if a program of this name is on the path.
 pub fn is_installed(program: &str) -> bool {
     std::env::var_os("PATH").is_some_and(|path| {
@@ -87,4 +112,19 @@ fn describe(command: &Command) -> String {
         text.push_str(&argument.to_string_lossy());
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_line_names_all_work_that_was_skipped() {
+        assert_eq!(summary_of(59.6, &[]), "all passed in 60 s");
+        let start = Instant::now();
+        skip("one check", "a tool is not installed");
+        skip("another", "there are no recordings");
+        let line = summary(start);
+        assert_eq!(line, "passed in 0 s; skipped: one check; another");
+    }
 }

@@ -6,8 +6,8 @@ use std::time::Instant;
 use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
 use crate::{
-    agree, api, c_library, cost, examples, faults, package, panics, python, results, rigs, size,
-    step,
+    agree, api, c_library, cost, examples, faults, package, panics, python, recordings, results,
+    rigs, size, step,
 };
 
 /// Runs all checks and tests.
@@ -34,7 +34,7 @@ pub fn run() -> Result<(), String> {
     cost::run()?;
     c_library::check()?;
     python::run()?;
-    eprintln!("\nall passed in {:.0} s", start.elapsed().as_secs_f64());
+    eprintln!("\n{}", step::summary(start));
     Ok(())
 }
 
@@ -145,6 +145,10 @@ fn test_on_host(
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
     step::timed("tests", || {
+        let folder = recordings::folder();
+        if !folder.is_dir() {
+            step::skip("tests with recordings", &recordings::absence(&folder));
+        }
         let mut test = step::host_cargo("test");
         test.args(["--release", "--workspace"]);
         for (board, elf) in images {
@@ -173,8 +177,9 @@ pub fn check_dependencies() -> Result<(), String> {
             "sources",
         ]);
     }
-    eprintln!(
-        "   skipped: cargo-deny is not installed; `cargo install cargo-deny --locked` installs it"
+    step::skip(
+        "licences and sources of dependencies",
+        "cargo-deny is not installed; `cargo install cargo-deny --locked` installs it",
     );
     Ok(())
 }

@@ -378,12 +378,8 @@ fn field<'a>(json: &'a str, key: &str) -> Option<&'a str> {
 }
 
 fn skip(work: &str, path: &Path) -> Result<(), String> {
-    eprintln!(
-        "   skipped: {work}, as there is no {}; {} may name the folder of \
-         recordings. The old figures stay.",
-        path.display(),
-        recordings::VARIABLE
-    );
+    let reason = format!("{}. The old figures stay", recordings::absence(path));
+    step::skip(work, &reason);
     Ok(())
 }
 
