@@ -97,14 +97,13 @@ fn run_for_cores() -> Result<(), String> {
             return Ok(());
         }
         setup::qemu()?;
-        let expected = on_this_computer()?;
+        let mut checksums = Vec::from_iter(on_this_computer()?);
         for (core, library) in CORES.iter().zip(&libraries) {
             let program = link(core, library)?;
             check_panics(&program)?;
             let found = in_qemu(core, &program)?;
-            if expected.as_ref().is_some_and(|expected| *expected != found) {
-                return Err(format!("{}: {found}, but here {expected:?}", core.name));
-            }
+            checksums.push((core.name, found.clone()));
+            compare(&checksums)?;
             let bytes = flash(&program)?;
             eprintln!("   {}: {found}; program of {bytes} bytes", core.name);
         }
@@ -151,8 +150,21 @@ pub fn program(name: &str) -> Result<PathBuf, String> {
     Ok(folder.join(name))
 }
 
-/// Returns the checksum of this computer; `None` without a compiler.
-fn on_this_computer() -> Result<Option<String>, String> {
+/// Fails unless all checksums are equal.
+fn compare(checksums: &[(&str, String)]) -> Result<(), String> {
+    for pair in checksums.windows(2) {
+        let [(before, expected), (name, found)] = pair else {
+            continue;
+        };
+        if found != expected {
+            return Err(format!("{name}: {found}, but {before}: {expected}"));
+        }
+    }
+    Ok(())
+}
+
+/// Returns this computer's name and its checksum; `None` without a compiler.
+fn on_this_computer() -> Result<Option<(&'static str, String)>, String> {
     if !step::is_installed("gcc") {
         step::skip(
             "the cores' comparison with this computer",
@@ -168,7 +180,7 @@ fn on_this_computer() -> Result<Option<String>, String> {
     step::run(gcc.args(["-lpthread", "-ldl", "-lm"]))?;
     let output = step::output(&mut Command::new(&program));
     output
-        .map(Some)
+        .map(|checksum| Some(("this computer", checksum)))
         .ok_or_else(|| format!("{} failed", program.display()))
 }
 
@@ -219,4 +231,22 @@ pub fn flash(program: &Path) -> Result<u64, String> {
         .and_then(|line| line.split_whitespace().next());
     let bytes = bytes.and_then(|bytes| bytes.parse().ok());
     bytes.ok_or_else(|| format!("no size in {text}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cores_are_compared_with_each_other_without_this_computer() {
+        let all = |last: &str| {
+            let checksums = ["1", "1", last].map(|number| format!("checksum {number}"));
+            let names = CORES.iter().map(|core| core.name);
+            names.zip(checksums).collect::<Vec<_>>()
+        };
+        assert_eq!(compare(&all("1")), Ok(()));
+        let error = compare(&all("2")).unwrap_err();
+        let expected = "cortex-m0plus: checksum 2, but cortex-m7: checksum 1";
+        assert_eq!(error, expected);
+    }
 }
