@@ -543,7 +543,23 @@ mod tests {
         for board in BOARDS {
             assert!(page.contains(&format!("| `{}` |", board.name)));
         }
-        assert!(page.contains("| `sda-low` |"));
+        let faults = std::fs::read_to_string(crate::root().join("docs/faults.md")).expect("a page");
+        let table = faults
+            .lines()
+            .skip_while(|line| !line.starts_with("| fault |"));
+        let mut kinds = 0;
+        for row in table.skip(2).take_while(|line| line.starts_with('|')) {
+            let cell = row.split('|').nth(1).unwrap_or_default();
+            for fault in cell.split('`').skip(1).step_by(2) {
+                let kind = fault.split(':').next().unwrap_or_default();
+                assert!(
+                    page.contains(&format!("| `{kind}` |")),
+                    "{kind} has no row: run `cargo xtask results --long`"
+                );
+                kinds += 1;
+            }
+        }
+        assert!(kinds > 38, "docs/faults.md has {kinds} faults");
     }
 
     #[test]
