@@ -6,12 +6,19 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{BURST_LENGTH, Burst, Part, RawSample};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts::{self, Row};
 use aplomb::telemetry::text;
+
+#[path = "../../xtask/src/limit.rs"]
+mod limit;
+
+/// Longest run in QEMU, far beyond that of a whole recorded trial.
+const LIMIT: Duration = Duration::from_secs(600);
 
 /// Samples for one line of text, as in `rigs/src/bin/qemu.rs`.
 const SAMPLES_PER_LINE: usize = 20;
@@ -171,28 +178,28 @@ fn run(elf: &Path, folder: &Path, contents: &str) -> Run {
     for old in [&output, &text] {
         let _ = std::fs::remove_file(old);
     }
-    let result = Command::new("qemu-system-arm")
-        .args([
-            "-M",
-            "netduinoplus2",
-            "-display",
-            "none",
-            "-monitor",
-            "none",
-        ])
-        .args(["-icount", "shift=0,sleep=off"])
-        .arg("-kernel")
-        .arg(elf)
-        .arg("-serial")
-        .arg(format!("file:{}", text.display()))
-        .arg("-semihosting-config")
-        .arg(format!(
-            "enable=on,target=native,arg=qemu,arg={},arg={}",
-            input.display(),
-            output.display()
-        ))
-        .output()
-        .expect("qemu-system-arm runs");
+    let mut qemu = Command::new("qemu-system-arm");
+    qemu.args([
+        "-M",
+        "netduinoplus2",
+        "-display",
+        "none",
+        "-monitor",
+        "none",
+    ])
+    .args(["-icount", "shift=0,sleep=off"])
+    .arg("-kernel")
+    .arg(elf)
+    .arg("-serial")
+    .arg(format!("file:{}", text.display()))
+    .arg("-semihosting-config")
+    .arg(format!(
+        "enable=on,target=native,arg=qemu,arg={},arg={}",
+        input.display(),
+        output.display()
+    ));
+    let what = format!("{} in QEMU, with {}", elf.display(), input.display());
+    let result = limit::output_within(LIMIT, &what, &mut qemu).expect("QEMU ends");
     Run {
         succeeded: result.status.success(),
         errors: String::from_utf8_lossy(&result.stderr).into_owned(),

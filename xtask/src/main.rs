@@ -8,6 +8,7 @@ mod c_library;
 mod cost;
 mod examples;
 mod faults;
+mod limit;
 mod package;
 mod panics;
 mod python;
