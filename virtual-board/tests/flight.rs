@@ -11,9 +11,10 @@ use aplomb::mpu6050::{Burst, PARTS};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb_models::motion::Quaternion;
 use aplomb_models::motion::rest::Rest;
-use common::{firmware, minimal_firmware};
+use common::{firmware, firmware_without_compass, minimal_firmware};
 use virtual_board::faults::{BusByte, Fault};
 use virtual_board::flight::{Outcome, Run};
+use virtual_board::kit::Kit;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::recorder::Sample;
@@ -97,9 +98,8 @@ fn a_flight_keeps_its_promises() {
     assert_the_library_agrees(outcome.samples());
 }
 
-#[test]
-fn the_minimal_firmware_keeps_the_same_promises_in_64_kib() {
-    let outcome = fly(Run::new(minimal_firmware()).seconds(10.0).seed(3));
+/// Checks 10 s of a flight with a smaller build.
+fn assert_a_smaller_build(outcome: &Outcome, flash_kib: u64) {
     let summary = &outcome.summary;
     assert_eq!(outcome.issues, Vec::<String>::new());
     assert!(summary.samples > 9500, "{summary:?}");
@@ -108,12 +108,33 @@ fn the_minimal_firmware_keeps_the_same_promises_in_64_kib() {
         summary.edge_to_attitude_us_max <= Some(395.0),
         "{summary:?}"
     );
-    assert!(summary.flash_bytes <= 64 * 1024, "{summary:?}");
+    assert!(summary.flash_bytes <= flash_kib * 1024, "{summary:?}");
     let is_line = |text: &str| text.starts_with("roll:");
     let lines = outcome.uart_lines.iter();
     let lines = lines.filter(|line| is_line(&line.text)).count();
     assert!((450..=510).contains(&lines), "{lines} lines at 50 Hz");
     assert_the_library_agrees(outcome.samples());
+}
+
+#[test]
+fn the_minimal_firmware_keeps_the_same_promises_in_64_kib() {
+    let outcome = fly(Run::new(minimal_firmware()).seconds(10.0).seed(3));
+    assert_a_smaller_build(&outcome, 64);
+}
+
+/// The board has a compass, which this build leaves alone.
+#[test]
+fn the_firmware_without_compass_keeps_the_same_promises_in_128_kib() {
+    let run = Run::new(firmware_without_compass()).kit(Kit::Gy87);
+    let outcome = fly(run.seconds(10.0).seed(3).command(8.0, "status"));
+    assert_a_smaller_build(&outcome, 128);
+    assert!(outcome.uart_reports("# ok status: "));
+    let lines = outcome.uart_lines.iter();
+    let of_compass: Vec<&str> = lines
+        .map(|line| line.text.as_str())
+        .filter(|line| line.contains("compass") || line.contains("COMPASS"))
+        .collect();
+    assert_eq!(of_compass, [""; 0]);
 }
 
 #[test]

@@ -40,6 +40,13 @@ pub fn build(toolchain: &Toolchain) -> Result<[(&'static str, PathBuf); 2], Stri
     ])
 }
 
+/// Returns RTIC's ELF file among those that [`build`] has built.
+pub fn rtic<'a>(examples: &'a [(&str, PathBuf)]) -> Result<&'a PathBuf, String> {
+    let rtic = examples.iter().find(|(name, _)| *name == "RTIC");
+    let (_, elf) = rtic.ok_or("there is no example for RTIC")?;
+    Ok(elf)
+}
+
 /// Checks the format of those that `cargo fmt --all` does not see.
 pub fn check_format() -> Result<(), String> {
     let mut cargo = step::command("cargo".as_ref());

@@ -104,12 +104,12 @@ pub fn check() -> Result<(), String> {
 
 /// Holds what was built and flown to the data file.
 ///
-/// `images` are the boards' ELF files, the default board's first. `minimal` is the minimal build.
+/// `images` are the boards' ELF files, the default board's first. `flash_bytes` are the figures of
+/// the section `size`, each with its key.
 pub fn hold(
     virtual_board: &Path,
     images: &[(Board, std::path::PathBuf)],
-    minimal: &Path,
-    kalman_flash_bytes: u64,
+    flash_bytes: &[(&str, u64)],
 ) -> Result<(), String> {
     let data = load()?;
     let mut changes = Vec::new();
@@ -120,14 +120,7 @@ pub fn hold(
             changes.extend(change(section, key, bytes as f64, TOLERANCE)?);
         }
     }
-    let size = data.section("size")?;
-    let minimal_flash_bytes = size::measure(minimal)?.flash;
-    for (key, bytes) in [
-        ("minimal_flash_bytes", minimal_flash_bytes),
-        ("kalman_flash_bytes", kalman_flash_bytes),
-    ] {
-        changes.extend(change(size, key, bytes as f64, TOLERANCE)?);
-    }
+    changes.extend(size_changes(data.section("size")?, flash_bytes)?);
     let Some((board, elf)) = images.first() else {
         return Err("there is no image".into());
     };
@@ -149,6 +142,17 @@ pub fn hold(
          {BOARDS_OF_CLI}",
         changes.join("\n  ")
     ))
+}
+
+/// Describes the changes of all figures of the section `size`. Fails if one is not measured.
+fn size_changes(size: &Section, flash_bytes: &[(&str, u64)]) -> Result<Vec<String>, String> {
+    let mut changes = Vec::new();
+    for (key, _) in size.figures() {
+        let measured = flash_bytes.iter().find(|(measured, _)| *measured == key);
+        let (_, bytes) = measured.ok_or_else(|| format!("nothing holds {key} of {DATA}"))?;
+        changes.extend(change(size, key, *bytes as f64, TOLERANCE)?);
+    }
+    Ok(changes)
 }
 
 /// Describes the change of a figure beyond its tolerance.
@@ -264,6 +268,29 @@ mod tests {
         assert_eq!(check_cost(&data, &rows), Ok(()));
         rows[0].maximum += 1;
         assert!(check_cost(&data, &rows).is_err_and(|error| error.contains("cost.txt")));
+    }
+
+    #[test]
+    fn every_size_of_the_file_is_held() {
+        let data = load().expect("data");
+        let size = data.section("size").expect("a section");
+        let measured = |key, bytes| {
+            let figures = size.figures().map(|(other, stored)| {
+                let stored = stored.parse().expect("a number");
+                (other, if other == key { bytes } else { stored })
+            });
+            figures.collect::<Vec<(&str, u64)>>()
+        };
+        assert_eq!(size_changes(size, &measured("", 0)), Ok(vec![]));
+        for key in ["without_compass_flash_bytes", "rtic_flash_bytes"] {
+            let changes = size_changes(size, &measured(key, 1)).expect("all are measured");
+            assert!(
+                changes.len() == 1 && changes[0].contains(key),
+                "{changes:?}"
+            );
+        }
+        let error = size_changes(size, &measured("", 0)[1..]).expect_err("one is missing");
+        assert!(error.contains("kalman_flash_bytes"), "{error}");
     }
 
     #[test]

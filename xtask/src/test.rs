@@ -19,14 +19,22 @@ pub fn run() -> Result<(), String> {
     eprintln!("   for the target: {}", toolchain.compiler());
     let kalman_flash_bytes = check_for_target(&toolchain)?;
     let images = build_images(&toolchain)?;
-    build_without_compass(&toolchain)?;
+    let without_compass = build_without_compass(&toolchain)?;
     let minimal = build_minimal(&toolchain)?;
     let examples = step::timed("examples", || examples::build(&toolchain))?;
     let virtual_board = build::virtual_board()?;
     step::timed("figures of the firmware", || {
-        results::hold(&virtual_board, &images, &minimal, kalman_flash_bytes)
+        let mut flash_bytes = vec![("kalman_flash_bytes", kalman_flash_bytes)];
+        for (key, elf) in [
+            ("without_compass_flash_bytes", &without_compass),
+            ("minimal_flash_bytes", &minimal),
+            ("rtic_flash_bytes", examples::rtic(&examples)?),
+        ] {
+            flash_bytes.push((key, size::measure(elf)?.flash));
+        }
+        results::hold(&virtual_board, &images, &flash_bytes)
     })?;
-    test_on_host(&images, &minimal, &examples)?;
+    test_on_host(&images, &without_compass, &minimal, &examples)?;
     step::timed("random flights with random faults", || {
         faults::fly_default(&virtual_board, &images[0].1)
     })?;
@@ -121,12 +129,13 @@ fn build_images(toolchain: &Toolchain) -> Result<Vec<(Board, PathBuf)>, String> 
     Ok(images)
 }
 
-/// Builds the firmware without compass of the default board and checks its size.
-fn build_without_compass(toolchain: &Toolchain) -> Result<(), String> {
+/// Builds the firmware without compass of the default board and checks its size and its panics.
+fn build_without_compass(toolchain: &Toolchain) -> Result<PathBuf, String> {
     let elf = Firmware::without_compass(Board::default()).build(toolchain)?;
     let sizes = size::check_without_compass(&elf)?;
+    panics::check(&elf)?;
     eprintln!("   {} bytes of flash, {} of RAM", sizes.flash, sizes.ram);
-    Ok(())
+    Ok(elf)
 }
 
 /// Builds the minimal firmware of the default board and checks its size and its panics.
@@ -141,6 +150,7 @@ fn build_minimal(toolchain: &Toolchain) -> Result<PathBuf, String> {
 /// Runs all tests of the workspace; the virtual board's with these images and examples.
 fn test_on_host(
     images: &[(Board, PathBuf)],
+    without_compass: &Path,
     minimal: &Path,
     examples: &[(&str, PathBuf)],
 ) -> Result<(), String> {
@@ -156,6 +166,7 @@ fn test_on_host(
             test.env(format!("APLOMB_FLIGHT_ELF_{name}"), elf);
         }
         test.env("APLOMB_FLIGHT_ELF", &images[0].1);
+        test.env("APLOMB_FLIGHT_ELF_WITHOUT_COMPASS", without_compass);
         test.env("APLOMB_FLIGHT_ELF_MINIMAL", minimal);
         for (name, elf) in examples {
             test.env(format!("APLOMB_EXAMPLE_{name}"), elf);

@@ -13,6 +13,12 @@ pub fn minimal_firmware() -> PathBuf {
     image("APLOMB_FLIGHT_ELF_MINIMAL")
 }
 
+/// Returns the image of the build without compass.
+#[allow(dead_code, reason = "not every test file flies it")]
+pub fn firmware_without_compass() -> PathBuf {
+    image("APLOMB_FLIGHT_ELF_WITHOUT_COMPASS")
+}
+
 fn image(variable: &str) -> PathBuf {
     match std::env::var_os(variable) {
         Some(path) => path.into(),

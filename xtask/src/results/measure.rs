@@ -166,9 +166,8 @@ fn sizes(data: &mut Data, toolchain: &Toolchain) -> Result<(), String> {
     let minimal = Firmware::minimal(Board::default()).build(toolchain)?;
     section.put("minimal_flash_bytes", size::measure(&minimal)?.flash);
     let examples = examples::build(toolchain)?;
-    let rtic = examples.iter().find(|(name, _)| *name == "RTIC");
-    let (_, elf) = rtic.ok_or("there is no example for RTIC")?;
-    section.put("rtic_flash_bytes", size::measure(elf)?.flash);
+    let rtic = examples::rtic(&examples)?;
+    section.put("rtic_flash_bytes", size::measure(rtic)?.flash);
     data.replace(section);
     Ok(())
 }
