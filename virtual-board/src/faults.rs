@@ -279,8 +279,19 @@ impl FaultKind {
             Self::CoreStall => &[Class::SamplesMissed],
             // The firmware may not address the compass in so short a stall.
             Self::CompassStall => &[],
-            kind if kind.is_of_compass() => &[Class::Compass],
-            _ => &[],
+            Self::CompassSilent
+            | Self::CompassFrozen
+            | Self::CompassZeros
+            | Self::CompassOverflow
+            | Self::CompassGarbled
+            | Self::CompassNeverReady
+            | Self::CompassIdentity(_) => &[Class::Compass],
+            Self::DataNack(_)
+            | Self::Stuck(_)
+            | Self::UartFlood
+            | Self::ProbeDetach
+            | Self::DebuggerReset
+            | Self::SupplySag(_) => &[],
         }
     }
 
