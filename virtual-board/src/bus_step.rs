@@ -35,7 +35,7 @@ impl BusStep {
             .chain((1..=Self::LAST_BYTE).map(Self::Read))
     }
 
-    /// Returns the name in five letters.
+    /// Returns the name, of five characters at most.
     #[must_use]
     pub fn name(self) -> String {
         match self {

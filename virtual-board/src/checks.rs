@@ -1,4 +1,4 @@
-//! Rules for the core's accesses to registers, which a forgiving model would not miss.
+//! Rules for the core's accesses to registers: violations that a forgiving model lets pass.
 //!
 //! A chip does not report a broken rule; it behaves as no model says. Here each is noted once for
 //! each instruction, with the address and the section of RM0090. Decorated devices note what they

@@ -78,8 +78,8 @@ pub struct Wires {
     levels: [bool; 2],
     /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
     falls_made: [u32; 2],
-    /// True if the firmware has made a STOP with the pins as outputs that the sensor has not
-    /// received yet.
+    /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made it
+    /// with the pins as outputs, or SDA was released while SCL was high.
     has_stopped: bool,
 }
 
@@ -181,22 +181,13 @@ impl Wires {
         self.levels[1] &= !self.lost.is_low();
     }
 
-    /// Returns the number of clocks that the sensor still waits for in its byte.
-    #[must_use]
-    pub fn clocks_owed(&self) -> u8 {
-        match self.lost {
-            LostByte::Sending { left, .. } => left,
-            _ => 0,
-        }
-    }
-
     /// Falling edges of SCL and of SDA that the firmware has made by hand.
     #[must_use]
     pub fn falls_made(&self) -> [u32; 2] {
         self.falls_made
     }
 
-    /// Returns true if the firmware has made a STOP with the pins since the last call.
+    /// Returns true if the lines have shown a STOP since the last call.
     pub fn take_stop(&mut self) -> bool {
         std::mem::take(&mut self.has_stopped)
     }

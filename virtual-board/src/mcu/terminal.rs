@@ -18,7 +18,7 @@ pub struct Terminal {
     script: VecDeque<SentByte>,
     /// The faults during which it sends without a pause.
     floods: Vec<ScheduledFault>,
-    /// Number of bytes sent.
+    /// Number of bytes of the floods so far.
     sent: u64,
     /// True if TX and RX are at their pins.
     pub(super) is_connected: [bool; 2],
@@ -61,12 +61,6 @@ impl Terminal {
             matches!(fault.kind, FaultKind::UartFlood | FaultKind::UartNoise)
         };
         self.floods = faults.iter().filter(floods).copied().collect();
-    }
-
-    /// Returns the number of bytes sent.
-    #[must_use]
-    pub fn sent(&self) -> u64 {
-        self.sent
     }
 
     /// Sends more bytes, from `at_ns` on.
