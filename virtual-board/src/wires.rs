@@ -78,8 +78,8 @@ pub struct Wires {
     levels: [bool; 2],
     /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
     falls_made: [u32; 2],
-    /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made it
-    /// with the pins as outputs, or SDA was released while SCL was high.
+    /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made
+    /// it with the pins as outputs, or a shorted SDA rose while SCL was high.
     has_stopped: bool,
 }
 
