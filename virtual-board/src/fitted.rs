@@ -20,8 +20,8 @@ use aplomb_models::sensor::{Burst, DataReady, OutputFault, Sensor};
 /// Duration of a glitch on the INT wire, ns.
 const GLITCH_NS: u64 = 1_000;
 
-/// The sensor with its wires and their faults.
-pub struct FittedSensor {
+/// The devices on the bus: the sensor and perhaps a compass, with their wires and faults.
+pub struct BusDevices {
     sensor: Sensor,
     compass: Option<FittedCompass>,
     wires: SharedWires,
@@ -50,7 +50,7 @@ pub struct FittedSensor {
     bursts: Vec<Burst>,
 }
 
-impl FittedSensor {
+impl BusDevices {
     /// Fits a sensor.
     #[must_use]
     pub fn new(sensor: Sensor, faults: Vec<Fault>) -> Self {
@@ -386,19 +386,19 @@ fn is_glitch(fault: &ScheduledFault, hz: u32, now_ns: u64) -> bool {
     since_ns.is_some_and(|since_ns| since_ns % period_ns < GLITCH_NS)
 }
 
-impl fmt::Debug for FittedSensor {
+impl fmt::Debug for BusDevices {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter
-            .debug_struct("FittedSensor")
+            .debug_struct("BusDevices")
             .field("faults", &self.faults)
             .finish_non_exhaustive()
     }
 }
 
 /// Runs start from reset alone, so nothing keeps a board.
-impl Store for FittedSensor {}
+impl Store for BusDevices {}
 
-impl Peer for FittedSensor {
+impl Peer for BusDevices {
     fn start(&mut self, address: u8, read: bool, context: &mut Timeline<'_, '_>) -> bool {
         let now_ns = context.now().0;
         let kind = if read {

@@ -24,7 +24,7 @@ use crate::board::{BOARDS, Board, BoardModel};
 use crate::checks::Rule;
 use crate::crystal::HighSpeedInput;
 use crate::faults::{Fault, ScheduledFault, internal_time, nanoseconds, scheduled};
-use crate::fitted::FittedSensor;
+use crate::fitted::BusDevices;
 use crate::flash::{FlashRecord, SharedCells};
 use crate::image::Firmware;
 use crate::kit::Kit;
@@ -398,7 +398,7 @@ impl Run {
         let compass = self.compass.take();
         let compass = compass.or_else(|| self.kit.compass(self.seed, self.mount));
         let mut controller = Microcontroller::new(
-            FittedSensor::new(sensor, std::mem::take(&mut self.faults)).with_compass(compass),
+            BusDevices::new(sensor, std::mem::take(&mut self.faults)).with_compass(compass),
             input,
             Terminal::new(&self.script),
             cells,

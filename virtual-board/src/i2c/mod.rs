@@ -38,7 +38,7 @@ use crate::bus_step::BusStep;
 use crate::checks::{Checks, Rule};
 use crate::delegate::delegate;
 use crate::faults::{BusLine, Fault, FaultKind, ScheduledFault, scheduled};
-use crate::fitted::FittedSensor;
+use crate::fitted::BusDevices;
 use crate::wires::SharedWires;
 use trailing::TrailingByte;
 
@@ -200,7 +200,7 @@ impl WiredI2c {
             || sr1::SB.is_set(registers.get(Register::Sr1));
         let delivered = self
             .model
-            .chip_mut::<FittedSensor>(0)
+            .chip_mut::<BusDevices>(0)
             .map_or(0, |sensor| sensor.delivered());
         match (self.is_addressing, self.is_reading) {
             _ if is_starting && !self.is_addressing => BusStep::Start,
@@ -385,7 +385,7 @@ impl WiredI2c {
         if has_stop || self.lasts(FaultKind::BusError(true), context) {
             let status = registers.get(Register::Sr1);
             registers.set(Register::Sr1, sr1::BERR.set(status, 1));
-            if has_stop && let Some(sensor) = self.model.chip_mut::<FittedSensor>(0) {
+            if has_stop && let Some(sensor) = self.model.chip_mut::<BusDevices>(0) {
                 sensor.receive_stop(now_ns);
             }
         }

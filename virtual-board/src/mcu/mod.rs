@@ -35,7 +35,7 @@ use crate::crystal::{CrystalAware, HighSpeedInput};
 use crate::dma::RefusedDma;
 use crate::exti::{self, Exti, Syscfg};
 use crate::faults::{CORE_MILLIVOLTS, Fault, FaultKind, Sag, ScheduledFault, scheduled, within};
-use crate::fitted::FittedSensor;
+use crate::fitted::BusDevices;
 use crate::flash::{FlashInterface, SharedCells};
 use crate::i2c::{WiredI2c, items_left};
 use crate::regulator::Regulator;
@@ -148,7 +148,7 @@ impl Microcontroller {
     ///
     /// When rigless's description of the part does not have what is decorated here.
     pub fn new(
-        sensor: FittedSensor,
+        sensor: BusDevices,
         input: HighSpeedInput,
         mut terminal: Terminal,
         cells: SharedCells,
@@ -228,7 +228,7 @@ impl Microcontroller {
     /// # Panics
     ///
     /// Never: [`Self::new`] has put it there.
-    pub fn sensor(&mut self) -> &mut FittedSensor {
+    pub fn sensor(&mut self) -> &mut BusDevices {
         self.sensor_bus
             .model
             .chip_mut(0)

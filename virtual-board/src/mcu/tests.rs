@@ -75,7 +75,7 @@ impl Bench {
         }
         let mut bench = Self {
             controller: Microcontroller::new(
-                FittedSensor::new(sensor, faults),
+                BusDevices::new(sensor, faults),
                 input,
                 Terminal::default(),
                 SharedCells::new(FlashRecord::blank()),
