@@ -302,11 +302,18 @@ impl Case {
 #[must_use]
 pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
     match kind {
-        FaultKind::UartFlood | FaultKind::UartNoise | FaultKind::ProbeDetach => None,
-        FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
+        FaultKind::UartFlood
+        | FaultKind::UartNoise
+        | FaultKind::ProbeDetach
+        | FaultKind::CompassSilent
+        | FaultKind::CompassFrozen
+        | FaultKind::CompassZeros
+        | FaultKind::CompassOverflow
+        | FaultKind::CompassGarbled
+        | FaultKind::CompassNeverReady
+        | FaultKind::CompassIdentity(_) => None,
         FaultKind::Stuck(_) => Some(TILT_DEADLINE_NS),
-        kind if kind.is_of_compass() => None,
-        kind if kind.stops_core() => Some(POWER_DEADLINE_NS),
+        FaultKind::SupplySag(_) if kind.stops_core() => Some(POWER_DEADLINE_NS),
         FaultKind::SupplySag(_) if !kind.stops_sensor() => None,
         FaultKind::SupplySag(_)
         | FaultKind::SensorBrownout
@@ -319,7 +326,24 @@ pub fn deadline_ns(kind: FaultKind) -> Option<u64> {
         | FaultKind::WatchdogHang
         | FaultKind::Crash
         | FaultKind::StackOverflow(_) => Some(RESET_DEADLINE_NS),
-        _ => Some(BUS_DEADLINE_NS),
+        FaultKind::AddressNack(_)
+        | FaultKind::DataNack(_)
+        | FaultKind::BurstStall
+        | FaultKind::SdaLow(_)
+        | FaultKind::SclLow
+        | FaultKind::BusError(_)
+        | FaultKind::ArbitrationLost
+        | FaultKind::DmaError
+        | FaultKind::IntMissing
+        | FaultKind::IntHigh
+        | FaultKind::IntLow
+        | FaultKind::IntGlitch(_)
+        | FaultKind::SensorSilent
+        | FaultKind::Temperature(_)
+        | FaultKind::CoreStall
+        | FaultKind::AttitudeLate
+        | FaultKind::DebuggerReset
+        | FaultKind::CompassStall => Some(BUS_DEADLINE_NS),
     }
 }
 
