@@ -126,9 +126,8 @@ impl Heading {
         let expected = self.expected_ut2 + 3.0 * noise;
         let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
-        let decay = smaller(duration_s / tuning.excess_s, 1.0);
         let limit = square(tuning.largest_excess_ut);
-        self.excess = larger(self.excess * (1.0 - decay), smaller(excess, limit));
+        self.excess = larger(self.excess, smaller(excess, limit));
         self.noise_ut2 = noise + tuning.excess_to_noise * excess;
         let share = smaller(duration_s / tuning.consistency_s, 1.0);
         let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);

@@ -306,8 +306,11 @@ impl Heading {
             *deviation *= keep;
         }
         if place + 1 < STATES {
-            Phase::Forget(state + 1)
-        } else if self.closed().has_readings() {
+            return Phase::Forget(state + 1);
+        }
+        // The excess ends in a silence too.
+        self.excess *= 1.0 - smaller(self.closed().duration_s / tuning.excess_s, 1.0);
+        if self.closed().has_readings() {
             self.expected_ut2 = 0.0;
             Phase::Expect(0)
         } else {

@@ -332,6 +332,31 @@ fn a_magnet_that_stays_on_the_body_is_learned() {
     assert!(found.norm() < 5.0, "{found:?}");
 }
 
+/// An excess opens the hard iron for about a second, whether readings follow or not.
+#[test]
+fn a_silence_after_a_disturbance_leaves_the_hard_iron_known() {
+    let largest_ut = |flight: &Flight| {
+        let Vector3 { x, y, z } = flight.heading.hard_iron_sigma_ut();
+        x.max(y).max(z)
+    };
+    let mut flight = Flight::new(10.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(10.0);
+    flight.disturbance_ut = Vector3::new(-150.0, 250.0, -100.0);
+    flight.tumble(0.5);
+    assert!(flight.heading.excess > 3_000.0, "{}", flight.heading.excess);
+    flight.reading_us = u64::MAX;
+    flight.tumble(60.0);
+    let silent_ut = largest_ut(&flight);
+    assert!(silent_ut < 20.0, "{silent_ut}");
+    flight.disturbance_ut = Vector3::ZERO;
+    flight.reading_us = flight.t_us;
+    // The inconsistency of the disturbance has to end.
+    flight.tumble(25.0);
+    flight.assert_error_below(3.0);
+    assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+}
+
 #[test]
 fn any_sample_rate_gives_the_heading() {
     // Above 250 Hz the step runs in slices, below at once. Beyond 20 ms an interval has few
