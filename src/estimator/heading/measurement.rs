@@ -24,8 +24,8 @@ const LARGEST_INCONSISTENCY: f32 = 100.0;
 /// everywhere; before the first reading the field is zero.
 const LEAST_HORIZONTAL_UT2: f32 = 1.0e-2;
 
-/// Longest time from the first attitude to the turns that count, in steps of 0.22 s: 15 s.
-const LONGEST_TURN_STEPS: u8 = 68;
+/// Longest time from the first attitude to the turns that count, s.
+const LONGEST_TURN_S: f32 = 15.0;
 
 /// Row h of the measurement, without its two ones at field and local deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -153,15 +153,11 @@ impl Heading {
             return;
         }
         let attitude = kalman.attitude_at_earth_step();
-        if self.steps_since_first == 0 {
+        if self.since_first_s > LONGEST_TURN_S {
             self.first_attitude = attitude;
             self.first_turn = Vector3::ZERO;
+            self.since_first_s = 0.0;
         }
-        self.steps_since_first = if self.steps_since_first < LONGEST_TURN_STEPS {
-            self.steps_since_first + 1
-        } else {
-            0
-        };
         // The axis, times the sine of half the angle.
         let Quaternion { x, y, z, .. } = self.first_attitude.conjugate().multiply(attitude);
         let turn = Vector3::new(x, y, z);
@@ -182,7 +178,7 @@ impl Heading {
 
     /// Forgets where the field was first seen, and the turns since then.
     pub(super) fn forget_turns(&mut self) {
-        self.steps_since_first = 0;
+        self.since_first_s = f32::INFINITY;
         self.has_two_axes = false;
         self.verified_s = 0.0;
     }
@@ -336,7 +332,7 @@ impl Heading {
         let is_tilt_known = self.is_tilt_known(kalman);
         if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
-            self.steps_since_first = 0;
+            self.since_first_s = f32::INFINITY;
         }
         let verified_after_s = if self.is_iron_known {
             tuning.verified_after_s

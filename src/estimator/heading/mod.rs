@@ -143,8 +143,6 @@ pub struct Heading {
     has_reading: bool,
     /// Number of changes of the estimate, which wraps.
     changes: u8,
-    /// Steps since `first_attitude` was taken. Zero: the next step takes it anew.
-    steps_since_first: u8,
     /// True after turns about two axes.
     has_two_axes: bool,
     /// True if a calibration or an earlier flight has given the hard iron, until a restart.
@@ -173,6 +171,8 @@ pub struct Heading {
     silent_s: f32,
     /// Time in motion, in proportion to it, turned away from `first_attitude`, s.
     verified_s: f32,
+    /// Time since `first_attitude` was taken, s. Infinite: the next measurement takes it anew.
+    since_first_s: f32,
     reading_ut: [f32; 3],
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
@@ -238,7 +238,7 @@ impl Heading {
             has_started: false,
             first_attitude: Quaternion::IDENTITY,
             first_turn: Vector3::ZERO,
-            steps_since_first: 0,
+            since_first_s: f32::INFINITY,
             has_two_axes: false,
             is_iron_known: knowledge != CompassKnowledge::Factory,
             verified_s: 0.0,
@@ -353,6 +353,7 @@ impl Heading {
             &mut self.contradicted_s,
             &mut self.silent_s,
             &mut self.verified_s,
+            &mut self.since_first_s,
         ] {
             visitor.f32(field);
         }
@@ -361,7 +362,6 @@ impl Heading {
         visitor.u8(&mut self.changes);
         visitor.quaternion(&mut self.first_attitude);
         visitor.vector(&mut self.first_turn);
-        visitor.u8(&mut self.steps_since_first);
         visitor.bool(&mut self.has_two_axes);
         visitor.bool(&mut self.is_iron_known);
         let blank = HeadingEstimate {

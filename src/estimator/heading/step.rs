@@ -281,6 +281,7 @@ impl Heading {
         } else {
             self.closed().motion(tuning)
         };
+        self.since_first_s += duration_s;
         let decay = smaller(duration_s / tuning.moving_hold_s, 1.0);
         self.motion = larger(motion, self.motion * (1.0 - decay));
         Phase::Forget(DEVIATION as u8)

@@ -357,6 +357,36 @@ fn a_silence_after_a_disturbance_leaves_the_hard_iron_known() {
     assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
 }
 
+/// Yaw drifts, so turns count from an attitude of the last 15 s: at every sample rate, and after a
+/// silence.
+#[test]
+fn turns_count_for_15_s() {
+    for step_us in [1_000, 10_000, 20_000] {
+        let mut flight = Flight::new(10.0, CompassKnowledge::Calibrated);
+        flight.step_us = step_us;
+        flight.rest(3.0);
+        let mut first = flight.heading.first_attitude;
+        let mut taken_s = 0.0;
+        let mut ages_s = [0.0; 3];
+        for (place, age_s) in ages_s.iter_mut().enumerate() {
+            while flight.heading.first_attitude == first {
+                flight.tumble(0.1);
+                // The last window is silent after 10 s.
+                if place == 2 && flight.t_us as f32 * 1.0e-6 - taken_s > 10.0 {
+                    flight.reading_us = flight.t_us + 8_000_000;
+                    flight.tumble(9.0);
+                }
+            }
+            let t_s = flight.t_us as f32 * SECONDS_PER_MICROSECOND;
+            *age_s = t_s - taken_s;
+            (first, taken_s) = (flight.heading.first_attitude, t_s);
+        }
+        let [_, second, silent] = ages_s;
+        assert!((14.5..15.6).contains(&second), "{step_us} us: {ages_s:?}");
+        assert!((18.5..19.6).contains(&silent), "{step_us} us: {ages_s:?}");
+    }
+}
+
 #[test]
 fn any_sample_rate_gives_the_heading() {
     // Above 250 Hz the step runs in slices, below at once. Beyond 20 ms an interval has few
