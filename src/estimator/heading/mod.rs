@@ -409,6 +409,8 @@ impl Heading {
     }
 
     fn restart(&mut self) {
+        // A product with zero keeps a NaN.
+        self.covariance = Covariance::ZERO;
         self.reset_field();
         self.is_iron_known = false;
         let iron = square(self.knowledge.sigma_ut()) + square(self.tuning.restart_hard_iron_ut);

@@ -719,13 +719,15 @@ fn an_update_to_a_time_is_an_update_by_its_step() {
 fn readings_that_no_compass_delivers_do_no_harm() {
     let mut flight = Flight::new(80.0, CompassKnowledge::Calibrated);
     flight.rest(3.0);
-    for bad in [f32::NAN, f32::INFINITY, -1.0e30, 9_000.0, 0.0] {
+    // A sum of 15,000 µT or more is rejected.
+    for bad in [f32::NAN, f32::INFINITY, -1.0e30, 9_000.0, 4_900.0, 0.0] {
         for _ in 0..500 {
             flight.step(Vector3::ZERO);
             let field = MagneticField {
                 ut: [bad, -bad, bad],
             };
-            flight.heading.add_field(field, u32::MAX);
+            flight.heading.add_field(field, 0);
+            assert_eq!(flight.heading.has_reading, bad.abs() < 5_000.0, "{bad}");
             if let Some(estimate) = flight.heading.estimate() {
                 assert!(estimate.yaw_offset_rad.abs() < 3.2 && estimate.sigma_rad > 0.0);
             }
@@ -734,6 +736,26 @@ fn readings_that_no_compass_delivers_do_no_harm() {
     assert!(flight.heading.state.iter().all(|state| state.is_finite()));
     flight.tumble(20.0);
     flight.assert_error_below(3.0);
+}
+
+#[test]
+fn a_restart_clears_numbers_that_are_none() {
+    for bad in [f32::NAN, f32::INFINITY] {
+        let mut flight = Flight::new(80.0, CompassKnowledge::Calibrated);
+        flight.rest(3.0);
+        flight.heading.covariance.add(IRON + 1, FIELD, bad);
+        flight.heading.covariance.cross = [[bad; ERROR_STATES]; 6];
+        flight.heading.state = [bad; STATES];
+        flight.tumble(1.0);
+        assert!(
+            joint_covariance(&flight)[..STATES]
+                .iter()
+                .flatten()
+                .all(|it| it.is_finite())
+        );
+        flight.tumble(20.0);
+        flight.assert_error_below(3.0);
+    }
 }
 
 #[test]
