@@ -10,6 +10,7 @@
 //! the gains, but no gain moves them.
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
+use super::interval::Interval;
 use super::step::Phase;
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
@@ -309,15 +310,16 @@ impl Heading {
         Phase::Idle
     }
 
-    /// Updates the heading and its σ.
+    /// Turns the field to the present level frame, and updates the heading and its σ.
     pub(super) fn finish(&mut self, kalman: &Kalman) -> Phase {
+        self.turn_field(self.late_turn_rad);
         let [cx, cy, ..] = self.state;
         let covariance = &self.covariance;
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
         // The present interval comes after the step.
-        let variance = variance / square(horizontal) + self.present_unseen_rad2();
+        let variance = variance / square(horizontal) + self.interval().unseen_rad2;
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
             libm::sqrtf(larger(variance, 0.0))
         } else {
@@ -372,11 +374,10 @@ impl Heading {
         kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad)
     }
 
-    /// Returns the yaw variance of motion that no sample of the present interval has shown, rad².
+    /// Returns the present interval.
     #[inline]
-    fn present_unseen_rad2(&self) -> f32 {
+    pub(super) fn interval(&self) -> &Interval {
         let [first, second] = &self.intervals;
-        let present = if self.present == 0 { first } else { second };
-        present.unseen_rad2
+        if self.present == 0 { first } else { second }
     }
 }

@@ -149,6 +149,9 @@ pub struct Heading {
     is_iron_known: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
+    /// Scratch of the step, from `Phase::Relax` to `Phase::Finish`: turn of the level frame, rad,
+    /// by what the tilt filter's step corrected, from the interval's end to the correction.
+    late_turn_rad: f32,
     /// Scratch of the step, from `Phase::Expect` to `Phase::Gate`: expected squared innovation of
     /// all axes without noise.
     expected_ut2: f32,
@@ -217,6 +220,7 @@ impl Heading {
             covariance: Covariance::ZERO,
             phase: Phase::Idle,
             elapsed_s: 0.0,
+            late_turn_rad: 0.0,
             intervals: [Interval::EMPTY; 2],
             present: 0,
             has_interval: false,
@@ -343,6 +347,7 @@ impl Heading {
         visitor.f32s(&mut self.cross_column);
         visitor.f32s(&mut self.own_column);
         for field in [
+            &mut self.late_turn_rad,
             &mut self.inverse_variance,
             &mut self.expected_ut2,
             &mut self.noise_ut2,
@@ -503,13 +508,13 @@ impl Heading {
         self.has_started = true;
         if kalman.has_tilt() {
             let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
-            self.interval().add_reading(kalman, field_ut, age_s);
+            self.interval_mut().add_reading(kalman, field_ut, age_s);
         }
     }
 
-    /// Returns the present interval.
+    /// Returns the present interval, for changes.
     #[inline]
-    fn interval(&mut self) -> &mut Interval {
+    fn interval_mut(&mut self) -> &mut Interval {
         let [first, second] = &mut self.intervals;
         if self.present == 0 { first } else { second }
     }
@@ -532,10 +537,10 @@ impl Heading {
     fn add_earth_step(&mut self, kalman: &Kalman, dt_s: f32) {
         let elapsed_s = core::mem::take(&mut self.elapsed_s);
         if !kalman.has_tilt() {
-            *self.interval() = Interval::EMPTY;
+            *self.interval_mut() = Interval::EMPTY;
             return;
         }
-        let interval = self.interval();
+        let interval = self.interval_mut();
         interval.add_earth_step(kalman, elapsed_s);
         // A pause, which the tilt filter may already have used.
         let before = interval.unseen_rad2;

@@ -5,7 +5,9 @@
 //! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
 //!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
 //!    over an interval. The step therefore uses those after the tilt filter's correction δ: it
-//!    moves c by δ, and adds the remaining covariance of e to that of c.
+//!    moves c by δ, and adds the remaining covariance of e to that of c. The tilt filter corrects
+//!    its attitude some samples after the interval. Until then the present interval has the old
+//!    errors, so its part moves c by δ too: at the end of the step, after the measurement.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
 
@@ -123,6 +125,7 @@ impl Heading {
     }
 
     fn relax(&mut self, kalman: &Kalman) -> Phase {
+        self.late_turn_rad = dot(&self.interval().yaw, kalman.gyroscope_correction());
         self.closed_mut().close();
         let (relaxed, factor) = kalman.relaxed();
         self.covariance.scale_cross(relaxed, factor);
@@ -248,13 +251,20 @@ impl Heading {
     /// Rotates X by the drift of yaw.
     fn rotate_cross(&mut self, kalman: &Kalman) -> Phase {
         let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
+        let [x, y, ..] = self.state;
+        self.covariance.subtract_cross(0, y, &self.cross_column);
+        self.covariance.subtract_cross(1, -x, &self.cross_column);
+        self.turn_field(turn_rad);
+        Phase::Walk
+    }
+
+    /// Turns the field about down.
+    #[inline]
+    pub(super) fn turn_field(&mut self, turn_rad: f32) {
         let [x, y, ..] = &mut self.state;
         let (gx, gy) = (-*y, *x);
-        self.covariance.subtract_cross(0, -gx, &self.cross_column);
-        self.covariance.subtract_cross(1, -gy, &self.cross_column);
         *x += gx * turn_rad;
         *y += gy * turn_rad;
-        Phase::Walk
     }
 
     /// Returns the variance of yaw that the interval adds beside the gyroscope's errors, rad².
@@ -327,6 +337,7 @@ fn gyroscope(row: &CrossRow) -> &[f32] {
         .unwrap_or(&[])
 }
 
+#[inline(never)]
 fn dot(left: &[f32; GYROSCOPE], right: &[f32]) -> f32 {
     left.iter().zip(right).map(|(a, b)| a * b).sum()
 }

@@ -412,6 +412,23 @@ fn the_gyroscopes_offset_does_not_turn_the_heading() {
     flight.assert_error_below(3.0);
 }
 
+/// At 100 Hz a step of the tilt filter takes 0.3 s. The offset that the first rest finds turns the
+/// level frame meanwhile, by 1.2°.
+#[test]
+fn an_offset_that_a_rest_finds_late_does_not_turn_the_heading() {
+    const FLIGHTS: u16 = 24;
+    let mut mean_deg = 0.0;
+    for noise in 0..FLIGHTS {
+        let mut flight = Flight::new(30.0, CompassKnowledge::Calibrated);
+        flight.noise = noise.into();
+        flight.step_us = 10_000;
+        flight.offset_rad_s = Vector3::new(0.0, 0.0, radians(4.0));
+        flight.rest(4.0);
+        mean_deg += flight.error_deg().expect("a heading") / f32::from(FLIGHTS);
+    }
+    assert!(mean_deg.abs() < 0.5, "{mean_deg}");
+}
+
 #[test]
 fn a_gap_forgets_the_heading_and_finds_it_again() {
     let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
