@@ -102,7 +102,8 @@ impl Interval {
         self.readings > 0.0
     }
 
-    /// Returns how much the body moved: 0 at rest, at most 1.
+    /// Returns how much the body moved: 0 at rest, at most 1. Turns and accelerations add as
+    /// squares; in the prototype (see `tuning.rs`) they add as they are.
     pub(super) fn motion(&self, tuning: &Tuning) -> f32 {
         let inverse = 1.0 / self.duration_s;
         let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);

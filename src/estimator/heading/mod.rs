@@ -21,7 +21,7 @@
 //!
 //! # Disturbances
 //!
-//! - d belongs to the place. Its memory is 10 s at rest and 0.2 s in motion. So a wrong field at
+//! - d belongs to the place. Its memory is 10 s at rest and 0.3 s in motion. So a wrong field at
 //!   rest counts as one measurement, and in motion it averages out.
 //! - The squared innovation beyond 0.2 of the expected one adds to the noise at once. It also
 //!   inflates b and d for a while, because a magnet may have been attached.
@@ -84,7 +84,8 @@ use covariance::{Covariance, CrossRow, DEVIATION, FIELD, IRON, STATES};
 use interval::Interval;
 use step::Phase;
 
-/// Shortest time between two earth steps that are added, s. Their sums serve the covariance alone.
+/// Shortest time between two earth steps that are added, s. Their sums serve the covariance, and
+/// the turn of the field by the tilt filter's corrections.
 const EARTH_PERIOD_S: f32 = 10.0e-3;
 /// Period of the slices, s: a step is complete before the next one is due.
 const SLICE_PERIOD_S: f32 = 1.7e-3;

@@ -299,6 +299,9 @@ impl Heading {
 
     /// Lets a state of the local deviation return to zero: a first-order Gauss-Markov process
     /// (Gelb, *Applied Optimal Estimation*, 1974, §3.8).
+    ///
+    /// It keeps 1/(1 + T/τ) over a step of length T, which is cheaper than exp(−T/τ) and
+    /// forgets less: with steps of 0.22 s the memory in full motion is 0.29 s, and τ 0.2 s.
     fn forget(&mut self, state: u8) -> Phase {
         let tuning = self.tuning;
         let moving = if self.motion < tuning.least_motion {
