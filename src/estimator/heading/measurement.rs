@@ -11,7 +11,7 @@
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
 use super::interval::Interval;
-use super::step::Phase;
+use super::step::{Phase, share};
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::arithmetic::{larger, smaller, square};
@@ -130,7 +130,7 @@ impl Heading {
         let limit = square(tuning.largest_excess_ut);
         self.excess = larger(self.excess, smaller(excess, limit));
         self.noise_ut2 = noise + tuning.excess_to_noise * excess;
-        let share = smaller(duration_s / tuning.consistency_s, 1.0);
+        let share = share(duration_s, tuning.consistency_s);
         let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
         if self.inconsistency > tuning.valid_inconsistency {
@@ -195,7 +195,7 @@ impl Heading {
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
         let contradiction = self.squared_innovation_ut2() - tuning.restart_ratio * square(length);
-        let share = smaller(duration_s / tuning.restart_average_s, 1.0);
+        let share = share(duration_s, tuning.restart_average_s);
         self.contradiction += share * (contradiction - self.contradiction);
         let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
         self.contradicted_s = if is_lasting {

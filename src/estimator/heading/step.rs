@@ -221,12 +221,11 @@ impl Heading {
 
     /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.
     fn project_drift(&mut self) -> Phase {
-        let mut own = [0.0; STATES];
-        let yaw = &self.closed().yaw;
-        for (entry, row) in own.iter_mut().zip(&self.covariance.cross) {
-            *entry = dot(yaw, gyroscope(row));
+        let [first, second] = &self.intervals;
+        let closed = if self.present == 0 { second } else { first };
+        for (entry, row) in self.own_column.iter_mut().zip(&self.covariance.cross) {
+            *entry = dot(&closed.yaw, gyroscope(row));
         }
-        self.own_column = own;
         Phase::RotateField
     }
 
@@ -259,7 +258,7 @@ impl Heading {
     }
 
     /// Turns the field about down.
-    #[inline]
+    #[inline(never)]
     pub(super) fn turn_field(&mut self, turn_rad: f32) {
         let [x, y, ..] = &mut self.state;
         let (gx, gy) = (-*y, *x);
@@ -292,7 +291,7 @@ impl Heading {
             self.closed().motion(tuning)
         };
         self.since_first_s += duration_s;
-        let decay = smaller(duration_s / tuning.moving_hold_s, 1.0);
+        let decay = share(duration_s, tuning.moving_hold_s);
         self.motion = larger(motion, self.motion * (1.0 - decay));
         Phase::Forget(DEVIATION as u8)
     }
@@ -309,7 +308,8 @@ impl Heading {
         } else {
             self.motion / tuning.deviation_moving_s
         };
-        let decays = self.closed().duration_s * (1.0 / tuning.deviation_still_s + moving);
+        let duration_s = self.closed().duration_s;
+        let decays = duration_s * (1.0 / tuning.deviation_still_s + moving);
         let keep = 1.0 / (1.0 + decays);
         let variance = square(tuning.deviation_ut) + tuning.excess_to_deviation * self.excess;
         let place = usize::from(state);
@@ -323,7 +323,7 @@ impl Heading {
             return Phase::Forget(state + 1);
         }
         // The excess ends in a silence too.
-        self.excess *= 1.0 - smaller(self.closed().duration_s / tuning.excess_s, 1.0);
+        self.excess *= 1.0 - share(duration_s, tuning.excess_s);
         if self.closed().has_readings() {
             self.expected_ut2 = 0.0;
             Phase::Expect(0)
@@ -331,6 +331,12 @@ impl Heading {
             Phase::Check
         }
     }
+}
+
+/// Returns the share that a duration has of a time constant, at most 1.
+#[inline(never)]
+pub(super) fn share(duration_s: f32, time_s: f32) -> f32 {
+    smaller(duration_s / time_s, 1.0)
 }
 
 /// Returns the entries of the gyroscope's parameters.
