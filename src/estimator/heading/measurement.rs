@@ -10,8 +10,8 @@
 //! the gains, but no gain moves them.
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
-use super::interval::Interval;
-use super::step::{Phase, share};
+use super::interval::FieldInterval;
+use super::step::{FieldSlice, share};
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::arithmetic::{larger, smaller, square};
@@ -82,7 +82,7 @@ impl Heading {
     }
 
     /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
-    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
         let [north, east] = row.tilt;
@@ -109,15 +109,15 @@ impl Heading {
         let own = covariance.entry(c, c) + covariance.entry(d, d);
         self.expected_ut2 += own + iron + 2.0 * linear + tilt;
         if axis < 2 {
-            Phase::Expect(axis + 1)
+            FieldSlice::Expect(axis + 1)
         } else {
-            Phase::Gate
+            FieldSlice::Gate
         }
     }
 
     /// Compares the squared innovation with the expected one, and adds the part beyond the gate's
     /// share of it to the noise.
-    pub(super) fn gate(&mut self, kalman: &Kalman) -> Phase {
+    pub(super) fn gate(&mut self, kalman: &Kalman) -> FieldSlice {
         self.verify(kalman);
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
@@ -136,7 +136,7 @@ impl Heading {
         if self.inconsistency > tuning.valid_inconsistency {
             self.verified_s = 0.0;
         }
-        Phase::Watch
+        FieldSlice::Watch
     }
 
     /// Adds to the time for which the body has moved, turned away from where the field was first
@@ -186,7 +186,7 @@ impl Heading {
 
     /// Watches the innovation, and restarts the filter when it has contradicted the field for long:
     /// the innovation is large, though the field's length fits.
-    pub(super) fn watch(&mut self) -> Phase {
+    pub(super) fn watch(&mut self) -> FieldSlice {
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
         let [cx, cy, cz, ..] = self.state;
@@ -205,13 +205,13 @@ impl Heading {
         };
         if self.contradicted_s > tuning.restart_after_s {
             self.restart();
-            return Phase::Idle;
+            return FieldSlice::Idle;
         }
-        Phase::Project(0)
+        FieldSlice::Project(0)
     }
 
     /// Computes O·hᵀ of an axis, but for the hard iron's part.
-    pub(super) fn project_own(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_own(&mut self, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let [north, east] = self.row(place).tilt;
         let covariance = &self.covariance;
@@ -221,21 +221,21 @@ impl Heading {
         }
         covariance.add_column(FIELD + place, 1.0, &mut self.own_column);
         covariance.add_column(DEVIATION + place, 1.0, &mut self.own_column);
-        Phase::ProjectIron(axis)
+        FieldSlice::ProjectIron(axis)
     }
 
     /// Completes O·hᵀ of an axis.
-    pub(super) fn project_iron(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_iron(&mut self, axis: u8) -> FieldSlice {
         let [wx, wy, wz] = self.row(axis.into()).iron;
         for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
             self.covariance
                 .add_column(state, factor, &mut self.own_column);
         }
-        Phase::ProjectCross(axis)
+        FieldSlice::ProjectCross(axis)
     }
 
     /// Computes X·hᵀ of an axis, but for the tilt's part.
-    pub(super) fn project_cross(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_cross(&mut self, axis: u8) -> FieldSlice {
         let [first, second, third, bx, by, bz] = &self.covariance.cross;
         let field = match axis {
             0 => first,
@@ -247,11 +247,11 @@ impl Heading {
         for (sum, (((c, x), y), z)) in self.cross_column.iter_mut().zip(sources) {
             *sum = c + wx * x + wy * y + wz * z;
         }
-        Phase::CorrectStates(axis)
+        FieldSlice::CorrectStates(axis)
     }
 
     /// Completes X·hᵀ of an axis, and corrects the states.
-    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
         let [wx, wy, wz] = row.iron;
@@ -272,11 +272,11 @@ impl Heading {
         for (state, entry) in self.state.iter_mut().zip(&self.own_column) {
             *state += gain * entry;
         }
-        Phase::Correct(axis, 0)
+        FieldSlice::Correct(axis, 0)
     }
 
     /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
-    pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> Phase {
+    pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> FieldSlice {
         let start = usize::from(first);
         // The last rows have no row of X.
         let rows = match start {
@@ -291,27 +291,27 @@ impl Heading {
                 .subtract_cross(row, gain, &self.cross_column);
         }
         if start + rows < STATES {
-            Phase::Correct(axis, first + rows as u8)
+            FieldSlice::Correct(axis, first + rows as u8)
         } else if axis < 2 {
-            Phase::Project(axis + 1)
+            FieldSlice::Project(axis + 1)
         } else {
-            Phase::Check
+            FieldSlice::Check
         }
     }
 
     /// Checks the numbers. Readings that no compass delivers may make them unusable.
-    pub(super) fn check(&mut self) -> Phase {
+    pub(super) fn check(&mut self) -> FieldSlice {
         let sum: f32 = self.state.iter().map(|state| state.abs()).sum();
         // A NaN fails the comparison.
         if self.covariance.is_sound() && sum < 1.0e5 {
-            return Phase::Finish;
+            return FieldSlice::Finish;
         }
         self.restart();
-        Phase::Idle
+        FieldSlice::Idle
     }
 
     /// Turns the field to the present level frame, and updates the heading and its σ.
-    pub(super) fn finish(&mut self, kalman: &Kalman) -> Phase {
+    pub(super) fn finish(&mut self, kalman: &Kalman) -> FieldSlice {
         self.turn_field(self.late_turn_rad);
         let [cx, cy, ..] = self.state;
         let covariance = &self.covariance;
@@ -351,7 +351,7 @@ impl Heading {
                 && self.verified_s > verified_after_s,
         });
         self.set_estimate(estimate);
-        Phase::Idle
+        FieldSlice::Idle
     }
 
     /// Inflates σ of the published heading by this variance of yaw, rad²: motion that no sample
@@ -376,7 +376,7 @@ impl Heading {
 
     /// Returns the present interval.
     #[inline]
-    pub(super) fn interval(&self) -> &Interval {
+    pub(super) fn interval(&self) -> &FieldInterval {
         let [first, second] = &self.intervals;
         if self.present == 0 { first } else { second }
     }

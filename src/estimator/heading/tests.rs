@@ -509,7 +509,7 @@ fn a_reset_between_two_samples_is_noticed() {
             // No step follows over an interval of no length.
             assert_eq!(
                 flight.heading.phase,
-                Phase::Idle,
+                FieldSlice::Idle,
                 "{step_us} us, trial {trial}"
             );
         }
@@ -519,7 +519,7 @@ fn a_reset_between_two_samples_is_noticed() {
 #[test]
 fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
     let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
-    while flight.heading.phase == Phase::Idle {
+    while flight.heading.phase == FieldSlice::Idle {
         flight.step(Vector3::ZERO);
     }
     assert!(!flight.heading.covariance.is_correlated());
@@ -528,7 +528,7 @@ fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
         .filter_mut()
         .set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
     flight.step(Vector3::ZERO);
-    assert_eq!(flight.heading.phase, Phase::Idle);
+    assert_eq!(flight.heading.phase, FieldSlice::Idle);
     // It goes on as after any start.
     flight.rest(1.0);
     assert!(flight.heading.covariance.is_correlated());
@@ -598,7 +598,8 @@ fn the_joint_covariance_is_positive_definite() {
                 60..70 => flight.tumble(1.0),
                 _ => flight.rest(1.0),
             }
-            if flight.heading.phase == Phase::Idle && !flight.estimator.filter().is_step_under_way()
+            if flight.heading.phase == FieldSlice::Idle
+                && !flight.estimator.filter().is_step_under_way()
             {
                 let least = least_pivot(&joint_covariance(&flight));
                 assert!(least > 0.0, "{knowledge:?}, {second} s: {least}");
@@ -794,7 +795,7 @@ fn a_restored_state_continues_to_the_bit() {
         restored.visit_state(&mut reader);
         assert!(reader.is_complete());
         assert_eq!(restored, flight.heading);
-        phases += u32::from(restored.phase != Phase::Idle);
+        phases += u32::from(restored.phase != FieldSlice::Idle);
     }
     assert!(phases > 100, "{phases}");
 }
@@ -805,7 +806,7 @@ fn a_step_is_complete_before_the_tilt_filter_begins_its_next() {
     for step_us in [1_000, 1_250, 2_000, 4_000] {
         flight.step_us = step_us;
         for index in 0..3_000 {
-            let was_idle = matches!(flight.heading.phase, Phase::Idle | Phase::Waiting);
+            let was_idle = matches!(flight.heading.phase, FieldSlice::Idle | FieldSlice::Waiting);
             let before = flight.heading.present;
             flight.step(Vector3::new(0.4, 0.1, -0.2));
             let has_closed = flight.heading.present != before;

@@ -24,13 +24,13 @@
 //! | `verified_uncalibrated_after_s` | of 500 flights with faults 1 was wrong instead of 5 |
 
 /// Largest σ of the tilt, both axes together, of a valid heading, rad: 4°. The flag
-/// `HEADING_VALID` has this limit with any tuning, beside [`Tuning::valid_tilt_rad`].
+/// `HEADING_VALID` has this limit with any tuning, beside [`HeadingTuning::valid_tilt_rad`].
 pub(crate) const VALID_TILT_RAD: f32 = 0.07;
 
 /// The heading filter's tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Tuning {
+pub struct HeadingTuning {
     /// σ of the field at start, per axis, µT.
     pub start_field_ut: f32,
     /// Random walk of the field, µT/√s.
@@ -104,7 +104,7 @@ pub struct Tuning {
     pub verified_uncalibrated_after_s: f32,
 }
 
-impl Tuning {
+impl HeadingTuning {
     /// The default tuning.
     pub const DEFAULT: Self = Self {
         start_field_ut: 60.0,
@@ -143,7 +143,7 @@ impl Tuning {
     };
 }
 
-impl Default for Tuning {
+impl Default for HeadingTuning {
     fn default() -> Self {
         Self::DEFAULT
     }
