@@ -29,7 +29,7 @@ pub(super) type CrossRow = [f32; ERROR_STATES];
 /// Covariance of the field states.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct Covariance {
+pub(super) struct FieldCovariance {
     triangle: [f32; TRIANGLE],
     pub(super) cross: [CrossRow; CORRELATED],
 }
@@ -44,7 +44,7 @@ const fn index(row: usize, column: usize) -> usize {
     }
 }
 
-impl Covariance {
+impl FieldCovariance {
     /// The zero matrix.
     pub(super) const ZERO: Self = Self {
         triangle: [0.0; TRIANGLE],

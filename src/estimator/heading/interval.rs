@@ -1,7 +1,7 @@
 //! Sums of one interval: from the begin of a covariance step of the tilt filter to that of the
 //! next.
 
-use super::tuning::Tuning;
+use super::tuning::HeadingTuning;
 use crate::attitude::Quaternion;
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::kalman::Kalman;
@@ -12,7 +12,7 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 /// Sums of an interval.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub(super) struct Interval {
+pub(super) struct FieldInterval {
     /// Sum of the readings in level axes, µT.
     pub(super) field_ut: [f32; 3],
     /// Sum of the rotation matrices at the readings, by rows; W of the measurement once closed.
@@ -31,7 +31,7 @@ pub(super) struct Interval {
     pub(super) unseen_rad2: f32,
 }
 
-impl Interval {
+impl FieldInterval {
     /// Interval of no length.
     pub(super) const EMPTY: Self = Self {
         field_ut: [0.0; 3],
@@ -86,8 +86,8 @@ impl Interval {
         self.readings += 1.0;
     }
 
-    /// Closes the interval: the sums of the readings become means.
-    pub(super) fn close(&mut self) {
+    /// Turns the sums of the readings into means.
+    pub(super) fn average_readings(&mut self) {
         if self.readings > 0.0 {
             let share = 1.0 / self.readings;
             let sums = self.rotation.as_flattened_mut().iter_mut();
@@ -102,8 +102,9 @@ impl Interval {
         self.readings > 0.0
     }
 
-    /// Returns how much the body moved: 0 at rest, at most 1.
-    pub(super) fn motion(&self, tuning: &Tuning) -> f32 {
+    /// Returns how much the body moved: 0 at rest, at most 1. Turns and accelerations add as
+    /// squares; in the prototype (see `tuning.rs`) they add as they are.
+    pub(super) fn motion(&self, tuning: &HeadingTuning) -> f32 {
         let inverse = 1.0 / self.duration_s;
         let rate = self.squared_rate * inverse / square(tuning.moving_rate_rad_s);
         let acceleration =

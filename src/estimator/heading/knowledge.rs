@@ -8,7 +8,7 @@ use crate::serialize::StateVisitor;
 /// |---|---|---|
 /// | factory | 200 µT | boards with speakers, screws and batteries: 60 to 300 µT |
 /// | hard iron | 6 µT | 1.5 times the error of the filter's hard iron after 40 simulated flights |
-/// | calibrated | 0.5 µT | the residual of a calibration |
+/// | calibrated | 0.5 µT | the calibration of BROAD's recordings; a rough one leaves some 2 µT |
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CompassKnowledge {

@@ -10,7 +10,8 @@
 //! the gains, but no gain moves them.
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
-use super::step::Phase;
+use super::interval::FieldInterval;
+use super::step::{FieldSlice, share};
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::arithmetic::{larger, smaller, square};
@@ -24,8 +25,8 @@ const LARGEST_INCONSISTENCY: f32 = 100.0;
 /// everywhere; before the first reading the field is zero.
 const LEAST_HORIZONTAL_UT2: f32 = 1.0e-2;
 
-/// Longest time from the first attitude to the turns that count, in steps of 0.22 s: 15 s.
-const LONGEST_TURN_STEPS: u8 = 68;
+/// Longest time from the first attitude to the turns that count, s.
+const LONGEST_TURN_S: f32 = 15.0;
 
 /// Row h of the measurement, without its two ones at field and local deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,7 +82,7 @@ impl Heading {
     }
 
     /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
-    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+    pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
         let [north, east] = row.tilt;
@@ -108,15 +109,15 @@ impl Heading {
         let own = covariance.entry(c, c) + covariance.entry(d, d);
         self.expected_ut2 += own + iron + 2.0 * linear + tilt;
         if axis < 2 {
-            Phase::Expect(axis + 1)
+            FieldSlice::Expect(axis + 1)
         } else {
-            Phase::Gate
+            FieldSlice::Gate
         }
     }
 
     /// Compares the squared innovation with the expected one, and adds the part beyond the gate's
     /// share of it to the noise.
-    pub(super) fn gate(&mut self, kalman: &Kalman) -> Phase {
+    pub(super) fn gate(&mut self, kalman: &Kalman) -> FieldSlice {
         self.verify(kalman);
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
@@ -126,17 +127,16 @@ impl Heading {
         let expected = self.expected_ut2 + 3.0 * noise;
         let excess = (squared - tuning.gate * expected) * (1.0 / 3.0);
         let excess = excess.clamp(0.0, 1.0e6);
-        let decay = smaller(duration_s / tuning.excess_s, 1.0);
         let limit = square(tuning.largest_excess_ut);
-        self.excess = larger(self.excess * (1.0 - decay), smaller(excess, limit));
+        self.excess = larger(self.excess, smaller(excess, limit));
         self.noise_ut2 = noise + tuning.excess_to_noise * excess;
-        let share = smaller(duration_s / tuning.consistency_s, 1.0);
+        let share = share(duration_s, tuning.consistency_s);
         let ratio = smaller(squared / expected, LARGEST_INCONSISTENCY);
         self.inconsistency += share * (ratio - self.inconsistency);
         if self.inconsistency > tuning.valid_inconsistency {
             self.verified_s = 0.0;
         }
-        Phase::Watch
+        FieldSlice::Watch
     }
 
     /// Adds to the time for which the body has moved, turned away from where the field was first
@@ -154,15 +154,11 @@ impl Heading {
             return;
         }
         let attitude = kalman.attitude_at_earth_step();
-        if self.steps_since_first == 0 {
+        if self.since_first_s > LONGEST_TURN_S {
             self.first_attitude = attitude;
             self.first_turn = Vector3::ZERO;
+            self.since_first_s = 0.0;
         }
-        self.steps_since_first = if self.steps_since_first < LONGEST_TURN_STEPS {
-            self.steps_since_first + 1
-        } else {
-            0
-        };
         // The axis, times the sine of half the angle.
         let Quaternion { x, y, z, .. } = self.first_attitude.conjugate().multiply(attitude);
         let turn = Vector3::new(x, y, z);
@@ -183,14 +179,14 @@ impl Heading {
 
     /// Forgets where the field was first seen, and the turns since then.
     pub(super) fn forget_turns(&mut self) {
-        self.steps_since_first = 0;
+        self.since_first_s = f32::INFINITY;
         self.has_two_axes = false;
         self.verified_s = 0.0;
     }
 
     /// Watches the innovation, and restarts the filter when it has contradicted the field for long:
     /// the innovation is large, though the field's length fits.
-    pub(super) fn watch(&mut self) -> Phase {
+    pub(super) fn watch(&mut self) -> FieldSlice {
         let tuning = self.tuning;
         let duration_s = self.closed().duration_s;
         let [cx, cy, cz, ..] = self.state;
@@ -199,7 +195,7 @@ impl Heading {
         let level = square(cx) + square(cy) + square(cz);
         let length = libm::sqrtf(measured) - libm::sqrtf(level);
         let contradiction = self.squared_innovation_ut2() - tuning.restart_ratio * square(length);
-        let share = smaller(duration_s / tuning.restart_average_s, 1.0);
+        let share = share(duration_s, tuning.restart_average_s);
         self.contradiction += share * (contradiction - self.contradiction);
         let is_lasting = self.contradiction > square(tuning.restart_floor_ut);
         self.contradicted_s = if is_lasting {
@@ -209,13 +205,13 @@ impl Heading {
         };
         if self.contradicted_s > tuning.restart_after_s {
             self.restart();
-            return Phase::Idle;
+            return FieldSlice::Idle;
         }
-        Phase::Project(0)
+        FieldSlice::Project(0)
     }
 
     /// Computes O·hᵀ of an axis, but for the hard iron's part.
-    pub(super) fn project_own(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_own(&mut self, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let [north, east] = self.row(place).tilt;
         let covariance = &self.covariance;
@@ -225,21 +221,21 @@ impl Heading {
         }
         covariance.add_column(FIELD + place, 1.0, &mut self.own_column);
         covariance.add_column(DEVIATION + place, 1.0, &mut self.own_column);
-        Phase::ProjectIron(axis)
+        FieldSlice::ProjectIron(axis)
     }
 
     /// Completes O·hᵀ of an axis.
-    pub(super) fn project_iron(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_iron(&mut self, axis: u8) -> FieldSlice {
         let [wx, wy, wz] = self.row(axis.into()).iron;
         for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
             self.covariance
                 .add_column(state, factor, &mut self.own_column);
         }
-        Phase::ProjectCross(axis)
+        FieldSlice::ProjectCross(axis)
     }
 
     /// Computes X·hᵀ of an axis, but for the tilt's part.
-    pub(super) fn project_cross(&mut self, axis: u8) -> Phase {
+    pub(super) fn project_cross(&mut self, axis: u8) -> FieldSlice {
         let [first, second, third, bx, by, bz] = &self.covariance.cross;
         let field = match axis {
             0 => first,
@@ -251,11 +247,11 @@ impl Heading {
         for (sum, (((c, x), y), z)) in self.cross_column.iter_mut().zip(sources) {
             *sum = c + wx * x + wy * y + wz * z;
         }
-        Phase::CorrectStates(axis)
+        FieldSlice::CorrectStates(axis)
     }
 
     /// Completes X·hᵀ of an axis, and corrects the states.
-    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> Phase {
+    pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
         let [wx, wy, wz] = row.iron;
@@ -276,11 +272,11 @@ impl Heading {
         for (state, entry) in self.state.iter_mut().zip(&self.own_column) {
             *state += gain * entry;
         }
-        Phase::Correct(axis, 0)
+        FieldSlice::Correct(axis, 0)
     }
 
     /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
-    pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> Phase {
+    pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> FieldSlice {
         let start = usize::from(first);
         // The last rows have no row of X.
         let rows = match start {
@@ -295,34 +291,35 @@ impl Heading {
                 .subtract_cross(row, gain, &self.cross_column);
         }
         if start + rows < STATES {
-            Phase::Correct(axis, first + rows as u8)
+            FieldSlice::Correct(axis, first + rows as u8)
         } else if axis < 2 {
-            Phase::Project(axis + 1)
+            FieldSlice::Project(axis + 1)
         } else {
-            Phase::Check
+            FieldSlice::Check
         }
     }
 
     /// Checks the numbers. Readings that no compass delivers may make them unusable.
-    pub(super) fn check(&mut self) -> Phase {
+    pub(super) fn check(&mut self) -> FieldSlice {
         let sum: f32 = self.state.iter().map(|state| state.abs()).sum();
         // A NaN fails the comparison.
         if self.covariance.is_sound() && sum < 1.0e5 {
-            return Phase::Finish;
+            return FieldSlice::Finish;
         }
         self.restart();
-        Phase::Idle
+        FieldSlice::Idle
     }
 
-    /// Updates the heading and its σ.
-    pub(super) fn finish(&mut self, kalman: &Kalman) -> Phase {
+    /// Turns the field to the present level frame, and updates the heading and its σ.
+    pub(super) fn finish(&mut self, kalman: &Kalman) -> FieldSlice {
+        self.turn_field(self.late_turn_rad);
         let [cx, cy, ..] = self.state;
         let covariance = &self.covariance;
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
         // The present interval comes after the step.
-        let variance = variance / square(horizontal) + self.present_unseen_rad2();
+        let variance = variance / square(horizontal) + self.interval().unseen_rad2;
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
             libm::sqrtf(larger(variance, 0.0))
         } else {
@@ -337,7 +334,7 @@ impl Heading {
         let is_tilt_known = self.is_tilt_known(kalman);
         if !is_tilt_known {
             // A correction of the tilt looks like a turn: turns count from the attitude after it.
-            self.steps_since_first = 0;
+            self.since_first_s = f32::INFINITY;
         }
         let verified_after_s = if self.is_iron_known {
             tuning.verified_after_s
@@ -354,7 +351,7 @@ impl Heading {
                 && self.verified_s > verified_after_s,
         });
         self.set_estimate(estimate);
-        Phase::Idle
+        FieldSlice::Idle
     }
 
     /// Inflates σ of the published heading by this variance of yaw, rad²: motion that no sample
@@ -377,11 +374,10 @@ impl Heading {
         kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad)
     }
 
-    /// Returns the yaw variance of motion that no sample of the present interval has shown, rad².
+    /// Returns the present interval.
     #[inline]
-    fn present_unseen_rad2(&self) -> f32 {
+    pub(super) fn interval(&self) -> &FieldInterval {
         let [first, second] = &self.intervals;
-        let present = if self.present == 0 { first } else { second };
-        present.unseen_rad2
+        if self.present == 0 { first } else { second }
     }
 }

@@ -21,7 +21,7 @@
 //!
 //! # Disturbances
 //!
-//! - d belongs to the place. Its memory is 10 s at rest and 0.2 s in motion. So a wrong field at
+//! - d belongs to the place. Its memory is 10 s at rest and 0.3 s in motion. So a wrong field at
 //!   rest counts as one measurement, and in motion it averages out.
 //! - The squared innovation beyond 0.2 of the expected one adds to the noise at once. It also
 //!   inflates b and d for a while, because a magnet may have been attached.
@@ -71,7 +71,7 @@ mod tuning;
 mod tests;
 
 pub use knowledge::CompassKnowledge;
-pub use tuning::Tuning;
+pub use tuning::HeadingTuning;
 pub(crate) use tuning::VALID_TILT_RAD;
 
 use super::arithmetic::{larger, square};
@@ -80,11 +80,12 @@ use super::kalman::heading_access::ERROR_STATES;
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
-use covariance::{Covariance, CrossRow, DEVIATION, FIELD, IRON, STATES};
-use interval::Interval;
-use step::Phase;
+use covariance::{CrossRow, DEVIATION, FIELD, FieldCovariance, IRON, STATES};
+use interval::FieldInterval;
+use step::FieldSlice;
 
-/// Shortest time between two earth steps that are added, s. Their sums serve the covariance alone.
+/// Shortest time between two earth steps that are added, s. Their sums serve the covariance, and
+/// the turn of the field by the tilt filter's corrections.
 const EARTH_PERIOD_S: f32 = 10.0e-3;
 /// Period of the slices, s: a step is complete before the next one is due.
 const SLICE_PERIOD_S: f32 = 1.7e-3;
@@ -133,8 +134,8 @@ impl HeadingEstimate {
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Heading {
-    tuning: &'static Tuning,
-    phase: Phase,
+    tuning: &'static HeadingTuning,
+    phase: FieldSlice,
     /// Place of the present interval.
     present: u8,
     /// True if the present interval has an earth step.
@@ -143,21 +144,23 @@ pub struct Heading {
     has_reading: bool,
     /// Number of changes of the estimate, which wraps.
     changes: u8,
-    /// Steps since `first_attitude` was taken. Zero: the next step takes it anew.
-    steps_since_first: u8,
     /// True after turns about two axes.
     has_two_axes: bool,
     /// True if a calibration or an earlier flight has given the hard iron, until a restart.
     is_iron_known: bool,
     /// Time since the last earth step that was added, s.
     elapsed_s: f32,
-    /// Scratch of the step, from `Phase::Expect` to `Phase::Gate`: expected squared innovation of
-    /// all axes without noise.
+    /// Scratch of the step, from `FieldSlice::Relax` to `FieldSlice::Finish`: turn of the level
+    /// frame, rad, by what the tilt filter's step corrected, from the interval's end to the
+    /// correction.
+    late_turn_rad: f32,
+    /// Scratch of the step, from `FieldSlice::Expect` to `FieldSlice::Gate`: expected squared
+    /// innovation of all axes without noise.
     expected_ut2: f32,
-    /// Scratch of the step, from `Phase::Gate` on: variance of an axis's noise.
+    /// Scratch of the step, from `FieldSlice::Gate` on: variance of an axis's noise.
     noise_ut2: f32,
-    /// Scratch of the step, from `Phase::CorrectStates` on: inverse of the innovation variance of
-    /// an axis, 1/µT².
+    /// Scratch of the step, from `FieldSlice::CorrectStates` on: inverse of the innovation variance
+    /// of an axis, 1/µT².
     inverse_variance: f32,
     /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
@@ -173,20 +176,22 @@ pub struct Heading {
     silent_s: f32,
     /// Time in motion, in proportion to it, turned away from `first_attitude`, s.
     verified_s: f32,
+    /// Time since `first_attitude` was taken, s. Infinite: the next measurement takes it anew.
+    since_first_s: f32,
     reading_ut: [f32; 3],
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Scratch of the step. From `Phase::RepeatOnCross` on: gains of the tilt filter's
-    /// measurements. From `Phase::ProjectDrift` on: X·Wᵀ of the drift of yaw. From
-    /// `Phase::Project` on: O·hᵀ of an axis.
+    /// Scratch of the step. From `FieldSlice::RepeatOnCross` on: gains of the tilt filter's
+    /// measurements. From `FieldSlice::ProjectDrift` on: X·Wᵀ of the drift of yaw. From
+    /// `FieldSlice::Project` on: O·hᵀ of an axis.
     own_column: [f32; STATES],
-    /// Scratch of the step. From `Phase::Drift` on: P·Wᵀ of the drift of yaw. From
-    /// `Phase::ProjectCross` on: X·hᵀ of an axis.
+    /// Scratch of the step. From `FieldSlice::Drift` on: P·Wᵀ of the drift of yaw. From
+    /// `FieldSlice::ProjectCross` on: X·hᵀ of an axis.
     cross_column: CrossRow,
     /// Sums of the present interval, and of the one before, whose step is under way.
-    intervals: [Interval; 2],
-    covariance: Covariance,
+    intervals: [FieldInterval; 2],
+    covariance: FieldCovariance,
     knowledge: CompassKnowledge,
     /// True after the first update that had a reading.
     has_started: bool,
@@ -204,20 +209,21 @@ pub struct Heading {
 impl Heading {
     /// Creates a filter without a reading.
     pub fn new(knowledge: CompassKnowledge) -> Self {
-        Self::with_tuning(knowledge, &Tuning::DEFAULT)
+        Self::with_tuning(knowledge, &HeadingTuning::DEFAULT)
     }
 
     /// Creates a filter with this tuning.
-    pub fn with_tuning(knowledge: CompassKnowledge, tuning: &'static Tuning) -> Self {
+    pub fn with_tuning(knowledge: CompassKnowledge, tuning: &'static HeadingTuning) -> Self {
         let mut filter = Self {
             tuning,
             knowledge,
             declination_rad: 0.0,
             state: [0.0; STATES],
-            covariance: Covariance::ZERO,
-            phase: Phase::Idle,
+            covariance: FieldCovariance::ZERO,
+            phase: FieldSlice::Idle,
             elapsed_s: 0.0,
-            intervals: [Interval::EMPTY; 2],
+            late_turn_rad: 0.0,
+            intervals: [FieldInterval::EMPTY; 2],
             present: 0,
             has_interval: false,
             has_reading: false,
@@ -238,7 +244,7 @@ impl Heading {
             has_started: false,
             first_attitude: Quaternion::IDENTITY,
             first_turn: Vector3::ZERO,
-            steps_since_first: 0,
+            since_first_s: f32::INFINITY,
             has_two_axes: false,
             is_iron_known: knowledge != CompassKnowledge::Factory,
             verified_s: 0.0,
@@ -343,6 +349,7 @@ impl Heading {
         visitor.f32s(&mut self.cross_column);
         visitor.f32s(&mut self.own_column);
         for field in [
+            &mut self.late_turn_rad,
             &mut self.inverse_variance,
             &mut self.expected_ut2,
             &mut self.noise_ut2,
@@ -353,6 +360,7 @@ impl Heading {
             &mut self.contradicted_s,
             &mut self.silent_s,
             &mut self.verified_s,
+            &mut self.since_first_s,
         ] {
             visitor.f32(field);
         }
@@ -361,7 +369,6 @@ impl Heading {
         visitor.u8(&mut self.changes);
         visitor.quaternion(&mut self.first_attitude);
         visitor.vector(&mut self.first_turn);
-        visitor.u8(&mut self.steps_since_first);
         visitor.bool(&mut self.has_two_axes);
         visitor.bool(&mut self.is_iron_known);
         let blank = HeadingEstimate {
@@ -409,6 +416,8 @@ impl Heading {
     }
 
     fn restart(&mut self) {
+        // A product with zero keeps a NaN.
+        self.covariance = FieldCovariance::ZERO;
         self.reset_field();
         self.is_iron_known = false;
         let iron = square(self.knowledge.sigma_ut()) + square(self.tuning.restart_hard_iron_ut);
@@ -458,7 +467,7 @@ impl Heading {
     #[inline]
     pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
         if kalman.are_tilt_and_velocity_reset()
-            && (self.covariance.is_correlated() || self.phase != Phase::Idle)
+            && (self.covariance.is_correlated() || self.phase != FieldSlice::Idle)
         {
             self.reset_with_tilt();
         }
@@ -468,7 +477,7 @@ impl Heading {
             self.add_earth_step(kalman, dt_s);
         }
         if kalman.interval_s() == 0.0 && self.has_interval {
-            self.close();
+            self.end_interval();
             // The tilt filter has just begun a step: the reading can wait.
             self.reading_age_s += dt_s;
             return;
@@ -476,16 +485,16 @@ impl Heading {
         if self.has_reading {
             self.add_reading(kalman, dt_s);
             // A slice can wait, unless samples are rare, or the step has to end.
-            let can_wait = self.phase != Phase::Waiting && !kalman.is_step_pending();
+            let can_wait = self.phase != FieldSlice::Waiting && !kalman.is_step_pending();
             if dt_s < LONG_SAMPLE_PERIOD_S && can_wait {
                 return;
             }
         }
         match self.phase {
-            Phase::Idle => {}
-            Phase::Waiting => {
+            FieldSlice::Idle => {}
+            FieldSlice::Waiting => {
                 if !kalman.is_step_under_way() {
-                    self.phase = Phase::Propagate(0);
+                    self.phase = FieldSlice::Propagate(0);
                     if dt_s > LONGEST_SLICED_S {
                         self.run_slices(kalman, dt_s, false);
                     }
@@ -501,27 +510,27 @@ impl Heading {
         self.has_started = true;
         if kalman.has_tilt() {
             let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
-            self.interval().add_reading(kalman, field_ut, age_s);
+            self.interval_mut().add_reading(kalman, field_ut, age_s);
         }
     }
 
-    /// Returns the present interval.
+    /// Returns the present interval, for changes.
     #[inline]
-    fn interval(&mut self) -> &mut Interval {
+    fn interval_mut(&mut self) -> &mut FieldInterval {
         let [first, second] = &mut self.intervals;
         if self.present == 0 { first } else { second }
     }
 
     /// Returns the interval of the step under way.
     #[inline]
-    fn closed(&self) -> &Interval {
+    fn closed(&self) -> &FieldInterval {
         let [first, second] = &self.intervals;
         if self.present == 0 { second } else { first }
     }
 
     /// Returns the interval of the step under way, for changes.
     #[inline]
-    fn closed_mut(&mut self) -> &mut Interval {
+    fn closed_mut(&mut self) -> &mut FieldInterval {
         let [first, second] = &mut self.intervals;
         if self.present == 0 { second } else { first }
     }
@@ -530,10 +539,10 @@ impl Heading {
     fn add_earth_step(&mut self, kalman: &Kalman, dt_s: f32) {
         let elapsed_s = core::mem::take(&mut self.elapsed_s);
         if !kalman.has_tilt() {
-            *self.interval() = Interval::EMPTY;
+            *self.interval_mut() = FieldInterval::EMPTY;
             return;
         }
-        let interval = self.interval();
+        let interval = self.interval_mut();
         interval.add_earth_step(kalman, elapsed_s);
         // A pause, which the tilt filter may already have used.
         let before = interval.unseen_rad2;
@@ -559,20 +568,20 @@ impl Heading {
             1 + ((dt_s * (1.0 / SLICE_PERIOD_S)) as u32).min(MOST_SLICES)
         };
         for _ in 0..slices {
-            if self.phase == Phase::Idle {
+            if self.phase == FieldSlice::Idle {
                 return;
             }
             self.slice(kalman);
         }
     }
 
-    /// Closes the interval: its step follows that of the tilt filter.
+    /// Ends the present interval: its step follows that of the tilt filter.
     #[inline(never)]
-    fn close(&mut self) {
+    fn end_interval(&mut self) {
         self.has_interval = false;
-        *self.closed_mut() = Interval::EMPTY;
+        *self.closed_mut() = FieldInterval::EMPTY;
         self.present ^= 1;
-        self.phase = Phase::Waiting;
+        self.phase = FieldSlice::Waiting;
     }
 
     /// Forgets the field after a reset of the tilt, and the correlations with the tilt filter: it
@@ -582,8 +591,8 @@ impl Heading {
     fn reset_with_tilt(&mut self) {
         self.covariance.forget_cross();
         self.reset_field();
-        self.intervals = [Interval::EMPTY; 2];
+        self.intervals = [FieldInterval::EMPTY; 2];
         self.has_interval = false;
-        self.phase = Phase::Idle;
+        self.phase = FieldSlice::Idle;
     }
 }

@@ -332,6 +332,61 @@ fn a_magnet_that_stays_on_the_body_is_learned() {
     assert!(found.norm() < 5.0, "{found:?}");
 }
 
+/// An excess opens the hard iron for about a second, whether readings follow or not.
+#[test]
+fn a_silence_after_a_disturbance_leaves_the_hard_iron_known() {
+    let largest_ut = |flight: &Flight| {
+        let Vector3 { x, y, z } = flight.heading.hard_iron_sigma_ut();
+        x.max(y).max(z)
+    };
+    let mut flight = Flight::new(10.0, CompassKnowledge::Calibrated);
+    flight.rest(3.0);
+    flight.tumble(10.0);
+    flight.disturbance_ut = Vector3::new(-150.0, 250.0, -100.0);
+    flight.tumble(0.5);
+    assert!(flight.heading.excess > 3_000.0, "{}", flight.heading.excess);
+    flight.reading_us = u64::MAX;
+    flight.tumble(60.0);
+    let silent_ut = largest_ut(&flight);
+    assert!(silent_ut < 20.0, "{silent_ut}");
+    flight.disturbance_ut = Vector3::ZERO;
+    flight.reading_us = flight.t_us;
+    // The inconsistency of the disturbance has to end.
+    flight.tumble(25.0);
+    flight.assert_error_below(3.0);
+    assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+}
+
+/// Yaw drifts, so turns count from an attitude of the last 15 s: at every sample rate, and after a
+/// silence.
+#[test]
+fn turns_count_for_15_s() {
+    for step_us in [1_000, 10_000, 20_000] {
+        let mut flight = Flight::new(10.0, CompassKnowledge::Calibrated);
+        flight.step_us = step_us;
+        flight.rest(3.0);
+        let mut first = flight.heading.first_attitude;
+        let mut taken_s = 0.0;
+        let mut ages_s = [0.0; 3];
+        for (place, age_s) in ages_s.iter_mut().enumerate() {
+            while flight.heading.first_attitude == first {
+                flight.tumble(0.1);
+                // The last window is silent after 10 s.
+                if place == 2 && flight.t_us as f32 * 1.0e-6 - taken_s > 10.0 {
+                    flight.reading_us = flight.t_us + 8_000_000;
+                    flight.tumble(9.0);
+                }
+            }
+            let t_s = flight.t_us as f32 * SECONDS_PER_MICROSECOND;
+            *age_s = t_s - taken_s;
+            (first, taken_s) = (flight.heading.first_attitude, t_s);
+        }
+        let [_, second, silent] = ages_s;
+        assert!((14.5..15.6).contains(&second), "{step_us} us: {ages_s:?}");
+        assert!((18.5..19.6).contains(&silent), "{step_us} us: {ages_s:?}");
+    }
+}
+
 #[test]
 fn any_sample_rate_gives_the_heading() {
     // Above 250 Hz the step runs in slices, below at once. Beyond 20 ms an interval has few
@@ -355,6 +410,23 @@ fn the_gyroscopes_offset_does_not_turn_the_heading() {
     flight.assert_error_below(3.0);
     flight.rest(20.0);
     flight.assert_error_below(3.0);
+}
+
+/// At 100 Hz a step of the tilt filter takes 0.3 s. The offset that the first rest finds turns the
+/// level frame meanwhile, by 1.2°.
+#[test]
+fn an_offset_that_a_rest_finds_late_does_not_turn_the_heading() {
+    const FLIGHTS: u16 = 24;
+    let mut mean_deg = 0.0;
+    for noise in 0..FLIGHTS {
+        let mut flight = Flight::new(30.0, CompassKnowledge::Calibrated);
+        flight.noise = noise.into();
+        flight.step_us = 10_000;
+        flight.offset_rad_s = Vector3::new(0.0, 0.0, radians(4.0));
+        flight.rest(4.0);
+        mean_deg += flight.error_deg().expect("a heading") / f32::from(FLIGHTS);
+    }
+    assert!(mean_deg.abs() < 0.5, "{mean_deg}");
 }
 
 #[test]
@@ -437,7 +509,7 @@ fn a_reset_between_two_samples_is_noticed() {
             // No step follows over an interval of no length.
             assert_eq!(
                 flight.heading.phase,
-                Phase::Idle,
+                FieldSlice::Idle,
                 "{step_us} us, trial {trial}"
             );
         }
@@ -447,7 +519,7 @@ fn a_reset_between_two_samples_is_noticed() {
 #[test]
 fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
     let mut flight = Flight::new(50.0, CompassKnowledge::Calibrated);
-    while flight.heading.phase == Phase::Idle {
+    while flight.heading.phase == FieldSlice::Idle {
         flight.step(Vector3::ZERO);
     }
     assert!(!flight.heading.covariance.is_correlated());
@@ -456,7 +528,7 @@ fn a_reset_ends_a_step_that_has_begun_before_any_measurement() {
         .filter_mut()
         .set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
     flight.step(Vector3::ZERO);
-    assert_eq!(flight.heading.phase, Phase::Idle);
+    assert_eq!(flight.heading.phase, FieldSlice::Idle);
     // It goes on as after any start.
     flight.rest(1.0);
     assert!(flight.heading.covariance.is_correlated());
@@ -526,7 +598,8 @@ fn the_joint_covariance_is_positive_definite() {
                 60..70 => flight.tumble(1.0),
                 _ => flight.rest(1.0),
             }
-            if flight.heading.phase == Phase::Idle && !flight.estimator.filter().is_step_under_way()
+            if flight.heading.phase == FieldSlice::Idle
+                && !flight.estimator.filter().is_step_under_way()
             {
                 let least = least_pivot(&joint_covariance(&flight));
                 assert!(least > 0.0, "{knowledge:?}, {second} s: {least}");
@@ -664,13 +737,15 @@ fn an_update_to_a_time_is_an_update_by_its_step() {
 fn readings_that_no_compass_delivers_do_no_harm() {
     let mut flight = Flight::new(80.0, CompassKnowledge::Calibrated);
     flight.rest(3.0);
-    for bad in [f32::NAN, f32::INFINITY, -1.0e30, 9_000.0, 0.0] {
+    // A sum of 15,000 µT or more is rejected.
+    for bad in [f32::NAN, f32::INFINITY, -1.0e30, 9_000.0, 4_900.0, 0.0] {
         for _ in 0..500 {
             flight.step(Vector3::ZERO);
             let field = MagneticField {
                 ut: [bad, -bad, bad],
             };
-            flight.heading.add_field(field, u32::MAX);
+            flight.heading.add_field(field, 0);
+            assert_eq!(flight.heading.has_reading, bad.abs() < 5_000.0, "{bad}");
             if let Some(estimate) = flight.heading.estimate() {
                 assert!(estimate.yaw_offset_rad.abs() < 3.2 && estimate.sigma_rad > 0.0);
             }
@@ -679,6 +754,26 @@ fn readings_that_no_compass_delivers_do_no_harm() {
     assert!(flight.heading.state.iter().all(|state| state.is_finite()));
     flight.tumble(20.0);
     flight.assert_error_below(3.0);
+}
+
+#[test]
+fn a_restart_clears_numbers_that_are_none() {
+    for bad in [f32::NAN, f32::INFINITY] {
+        let mut flight = Flight::new(80.0, CompassKnowledge::Calibrated);
+        flight.rest(3.0);
+        flight.heading.covariance.add(IRON + 1, FIELD, bad);
+        flight.heading.covariance.cross = [[bad; ERROR_STATES]; 6];
+        flight.heading.state = [bad; STATES];
+        flight.tumble(1.0);
+        assert!(
+            joint_covariance(&flight)[..STATES]
+                .iter()
+                .flatten()
+                .all(|it| it.is_finite())
+        );
+        flight.tumble(20.0);
+        flight.assert_error_below(3.0);
+    }
 }
 
 #[test]
@@ -700,7 +795,7 @@ fn a_restored_state_continues_to_the_bit() {
         restored.visit_state(&mut reader);
         assert!(reader.is_complete());
         assert_eq!(restored, flight.heading);
-        phases += u32::from(restored.phase != Phase::Idle);
+        phases += u32::from(restored.phase != FieldSlice::Idle);
     }
     assert!(phases > 100, "{phases}");
 }
@@ -711,7 +806,7 @@ fn a_step_is_complete_before_the_tilt_filter_begins_its_next() {
     for step_us in [1_000, 1_250, 2_000, 4_000] {
         flight.step_us = step_us;
         for index in 0..3_000 {
-            let was_idle = matches!(flight.heading.phase, Phase::Idle | Phase::Waiting);
+            let was_idle = matches!(flight.heading.phase, FieldSlice::Idle | FieldSlice::Waiting);
             let before = flight.heading.present;
             flight.step(Vector3::new(0.4, 0.1, -0.2));
             let has_closed = flight.heading.present != before;

@@ -1,14 +1,36 @@
 //! Tuning of the heading filter: one set of numbers for every compass.
 //!
-//! All are standard deviations (σ) or noise densities, in µT, rad and s.
+//! Units are µT, rad and s. Noises are standard deviations (σ) or densities per root of time; the
+//! rest are times, ratios and limits.
+//!
+//! # Sources
+//!
+//! The *prototype* is a joint filter of 28 states in Python, tuned on BROAD's trials with a compass
+//! (Laidig and others, *Data* 6(7), 2021). No search is recorded. The *promise* is that of
+//! `aplomb-bench --heading-promise`. Its limits were set with seeds 20000 to 20249 and 60000 to
+//! 60249.
+//!
+//! | numbers | source |
+//! |---|---|
+//! | `start_field_ut`, walks, `deviation_still_s`, `moving_*`, `least_motion` | prototype |
+//! | `gate`, `excess_*`, `largest_excess_ut`, `restart_*`, `known_rad` | prototype |
+//! | `noise_ut` | prototype; with the true attitude BROAD's residual is 0.9 to 1.2 µT |
+//! | `noise_per_rate` | prototype: 1; BROAD's residual does not grow up to 8.5 rad/s |
+//! | `deviation_ut` | prototype: 3.5; BROAD with magnets has 1.29/2.15° instead of 1.32/2.21° |
+//! | `deviation_moving_s` | prototype; 0.1 s made a heading of the promise wrong |
+//! | `consistency_s` | no reason is recorded |
+//! | `valid_rad`, `valid_tilt_rad` | were 0.26 and 0.1; lowered for the promise |
+//! | `valid_inconsistency`, `valid_silence_s`, `verified_half_sine`, 2.5 s | the promise |
+//! | `verified_uncalibrated_after_s` | of 500 flights with faults 1 was wrong instead of 5 |
 
-/// Largest σ of the tilt, both axes together, of a valid heading, rad: 4°.
+/// Largest σ of the tilt, both axes together, of a valid heading, rad: 4°. The flag
+/// `HEADING_VALID` has this limit with any tuning, beside [`HeadingTuning::valid_tilt_rad`].
 pub(crate) const VALID_TILT_RAD: f32 = 0.07;
 
 /// The heading filter's tuning.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Tuning {
+pub struct HeadingTuning {
     /// σ of the field at start, per axis, µT.
     pub start_field_ut: f32,
     /// Random walk of the field, µT/√s.
@@ -19,9 +41,10 @@ pub struct Tuning {
     pub hard_iron_walk: f32,
     /// σ of the slow local deviation, per axis, µT.
     pub deviation_ut: f32,
-    /// Memory of the local deviation in motion, s: a new place has another deviation.
+    /// Time constant of the local deviation in motion, s: a new place has another deviation.
     pub deviation_moving_s: f32,
-    /// Memory of the local deviation at rest, s. Larger: a wrong field at rest is averaged less.
+    /// Time constant of the local deviation at rest, s. Larger: a wrong field at rest is averaged
+    /// less.
     pub deviation_still_s: f32,
     /// Rate that counts as full motion, rad/s.
     pub moving_rate_rad_s: f32,
@@ -31,7 +54,8 @@ pub struct Tuning {
     pub moving_hold_s: f32,
     /// Share of full motion below which nothing moves.
     pub least_motion: f32,
-    /// σ of the mean field of one interval, per axis, µT.
+    /// σ of the mean field of one interval, per axis, µT. The prototype's intervals had 0.1 s;
+    /// those of today have 0.22 s at 1 kHz.
     pub noise_ut: f32,
     /// Noise per rate, µT per rad/s: errors of time and of the axes. 0.5: an error of 10 ms in a
     /// field of 50 µT.
@@ -80,7 +104,7 @@ pub struct Tuning {
     pub verified_uncalibrated_after_s: f32,
 }
 
-impl Tuning {
+impl HeadingTuning {
     /// The default tuning.
     pub const DEFAULT: Self = Self {
         start_field_ut: 60.0,
@@ -119,7 +143,7 @@ impl Tuning {
     };
 }
 
-impl Default for Tuning {
+impl Default for HeadingTuning {
     fn default() -> Self {
         Self::DEFAULT
     }

@@ -29,7 +29,7 @@ const CROSS_ROWS: usize = 8;
 /// The next slice.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-enum Phase {
+enum CovarianceSlice {
     /// No step is under way.
     Idle,
     /// F·P·Fᵀ: the block P_pd by A, from this row on.
@@ -92,7 +92,7 @@ pub(super) struct CovarianceStep {
     pub(super) covariance: Covariance,
     /// The correction δ of the error state.
     pub(super) correction: Column,
-    phase: Phase,
+    phase: CovarianceSlice,
     transition: Transition,
     duration_s: f32,
     measurements: [Measurement; MOST_MEASUREMENTS],
@@ -110,7 +110,7 @@ impl CovarianceStep {
         Self {
             covariance: Covariance::ZERO,
             correction: Column::ZERO,
-            phase: Phase::Idle,
+            phase: CovarianceSlice::Idle,
             transition: Transition::IDENTITY,
             duration_s: 0.0,
             measurements: [Measurement::BLANK; MOST_MEASUREMENTS],
@@ -144,7 +144,7 @@ impl CovarianceStep {
     /// nominal state.
     #[inline]
     pub(super) fn is_under_way(&self) -> bool {
-        self.phase != Phase::Idle
+        self.phase != CovarianceSlice::Idle
     }
 
     /// Returns the tilt variance, both axes together, rad².
@@ -156,12 +156,12 @@ impl CovarianceStep {
     /// Drops the rest of the step. Completes the measurement that is being applied first, because
     /// half of one can make the covariance indefinite: at most eight pairs of rows.
     pub(super) fn abandon(&mut self) {
-        if let Phase::CorrectRows(_, row) = self.phase {
+        if let CovarianceSlice::CorrectRows(_, row) = self.phase {
             for row in row..LAST_ROW / 2 + 1 {
                 self.correct_row_pair(row);
             }
         }
-        self.phase = Phase::Idle;
+        self.phase = CovarianceSlice::Idle;
     }
 
     /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and
@@ -184,7 +184,7 @@ impl CovarianceStep {
             .add_to_dynamic(VELOCITY_NORTH, velocity_noise);
         self.covariance
             .add_to_dynamic(VELOCITY_EAST, velocity_noise);
-        self.phase = Phase::PropagateCross(0);
+        self.phase = CovarianceSlice::PropagateCross(0);
     }
 
     /// Queues a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
@@ -198,63 +198,63 @@ impl CovarianceStep {
     /// Runs one slice.
     pub(super) fn slice(&mut self) -> Progress {
         match self.phase {
-            Phase::Idle => return Progress::Idle,
-            Phase::PropagateCross(row) => {
+            CovarianceSlice::Idle => return Progress::Idle,
+            CovarianceSlice::PropagateCross(row) => {
                 let end = row + CROSS_ROWS;
                 for row in row..end {
                     self.covariance.propagate_cross(row, &self.transition);
                 }
                 self.phase = if end < PARAMETERS {
-                    Phase::PropagateCross(end)
+                    CovarianceSlice::PropagateCross(end)
                 } else {
-                    Phase::PropagateParameters(0)
+                    CovarianceSlice::PropagateParameters(0)
                 };
             }
-            Phase::PropagateParameters(row) => {
+            CovarianceSlice::PropagateParameters(row) => {
                 // A short row of the triangle is paired with a long one, so that all slices take
                 // the same time.
                 self.covariance.propagate_parameters(row, &self.transition);
                 self.phase = if row < LAST_ROW / 2 {
                     self.covariance
                         .propagate_parameters(LAST_ROW - row, &self.transition);
-                    Phase::PropagateParameters(row + 1)
+                    CovarianceSlice::PropagateParameters(row + 1)
                 } else {
-                    Phase::CompleteDynamic
+                    CovarianceSlice::CompleteDynamic
                 };
             }
-            Phase::CompleteDynamic => {
+            CovarianceSlice::CompleteDynamic => {
                 self.covariance.complete_dynamic(&self.transition);
-                self.phase = Phase::Relax;
+                self.phase = CovarianceSlice::Relax;
                 return Progress::Propagated;
             }
-            Phase::Relax => {
-                self.phase = Phase::Measure;
+            CovarianceSlice::Relax => {
+                self.phase = CovarianceSlice::Measure;
                 return Progress::Relaxing;
             }
-            Phase::Measure => {
-                self.phase = Phase::Correct(0);
+            CovarianceSlice::Measure => {
+                self.phase = CovarianceSlice::Correct(0);
                 return Progress::Predicted;
             }
-            Phase::Correct(index) => self.phase = self.apply_measurement(index),
-            Phase::CorrectRows(index, row) => {
+            CovarianceSlice::Correct(index) => self.phase = self.apply_measurement(index),
+            CovarianceSlice::CorrectRows(index, row) => {
                 self.correct_row_pair(row);
                 self.correct_row_pair(row + 1);
                 self.phase = if row + 2 <= LAST_ROW / 2 {
-                    Phase::CorrectRows(index, row + 2)
+                    CovarianceSlice::CorrectRows(index, row + 2)
                 } else {
-                    Phase::Correct(index + 1)
+                    CovarianceSlice::Correct(index + 1)
                 };
             }
-            Phase::Check => {
+            CovarianceSlice::Check => {
                 if !(self.covariance.is_sound() && self.correction.is_sound()) {
-                    self.phase = Phase::Idle;
+                    self.phase = CovarianceSlice::Idle;
                     return Progress::Unsound;
                 }
-                self.phase = Phase::Done;
+                self.phase = CovarianceSlice::Done;
                 return Progress::Checked;
             }
-            Phase::Done => {
-                self.phase = Phase::Idle;
+            CovarianceSlice::Done => {
+                self.phase = CovarianceSlice::Idle;
                 return Progress::Corrected;
             }
         }
@@ -273,9 +273,9 @@ impl CovarianceStep {
 
     /// Applies the measurement of this index to δ and P_dd. Returns the next phase.
     #[inline(never)]
-    fn apply_measurement(&mut self, index: usize) -> Phase {
+    fn apply_measurement(&mut self, index: usize) -> CovarianceSlice {
         let Some(measurement) = self.measurement(index) else {
-            return Phase::Check;
+            return CovarianceSlice::Check;
         };
         let state = measurement.state;
         let column = &mut self.column;
@@ -285,13 +285,13 @@ impl CovarianceStep {
         }
         let (Some(own), Some(corrected)) = (column.entry(state), self.correction.entry(state))
         else {
-            return Phase::Check;
+            return CovarianceSlice::Check;
         };
         self.inverse = 1.0 / (own + measurement.variance);
         let gain = (measurement.innovation - corrected) * self.inverse;
         self.correction.add(column, gain);
         self.covariance.correct_dynamic(column, self.inverse);
-        Phase::CorrectRows(index, 0)
+        CovarianceSlice::CorrectRows(index, 0)
     }
 
     /// Visits every field.
@@ -350,7 +350,7 @@ impl Measurement {
     }
 }
 
-impl Phase {
+impl CovarianceSlice {
     fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let (mut kind, mut first, mut second) = match *self {
             Self::Idle => (0, 0, 0),
