@@ -82,13 +82,14 @@ impl AttitudeTask {
         after_publication: impl FnOnce(&ReceivedBurst, &Snapshot),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
-            let mut snapshot = pipeline.update(&received.burst, received.flags);
+            let snapshot = pipeline.update(&received.burst, received.flags);
+            let mut flags = snapshot.flags;
             if burst_reader::is_bus_held() {
                 // The rates of this burst may be false.
-                snapshot.flags.remove(Flags::VALID);
-                snapshot.flags |= Flags::BUS_FAULT | Flags::DEGRADED;
+                flags.remove(Flags::VALID);
+                flags |= Flags::BUS_FAULT | Flags::DEGRADED;
             }
-            publish(&snapshot);
+            publish(&snapshot, flags);
             after_publication(received, &snapshot);
             snapshot
         });
@@ -104,7 +105,7 @@ impl AttitudeTask {
         }
         let (t_us, board) = burst_reader::take_stale()?;
         let snapshot = pipeline.stale(t_us, board);
-        publish(&snapshot);
+        publish(&snapshot, snapshot.flags);
         watchdog::report_attitude();
         keep_state(pipeline, &snapshot);
         self.take_flags(snapshot.flags)
@@ -118,7 +119,10 @@ impl AttitudeTask {
         compass: Option<&mut CompassReader>,
         snapshot: &Snapshot,
     ) {
-        if pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED) {
+        // Neither is true of an attitude that is valid and no more.
+        if snapshot.flags != Flags::VALID
+            && (pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED))
+        {
             burst_reader::request_check();
         }
         self.samples_to_housekeeping -= 1;
@@ -217,9 +221,9 @@ static APLOMB_SNAPSHOT: Published = Published {
     sequence: AtomicU32::new(0),
 };
 
-/// Publishes a snapshot. Only the attitude task calls this.
+/// Publishes a snapshot with these flags. Only the attitude task calls this.
 #[inline(always)]
-fn publish(snapshot: &Snapshot) {
+fn publish(snapshot: &Snapshot, published: Flags) {
     let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
     let [low, high, qw, qx, qy, qz, p, q_rate, r, flags, variance] = &APLOMB_SNAPSHOT.words;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
@@ -232,7 +236,7 @@ fn publish(snapshot: &Snapshot) {
     store(p, rates.x.to_bits());
     store(q_rate, rates.y.to_bits());
     store(r, rates.z.to_bits());
-    store(flags, snapshot.flags.bits());
+    store(flags, published.bits());
     store(variance, snapshot.tilt_variance_rad2.to_bits());
     let sequence = APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed);
     APLOMB_SNAPSHOT
