@@ -33,9 +33,9 @@ pub(super) fn send_stop() {
         .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
 }
 
-/// Returns whether something holds the bus after a burst: its STOP, of 2.5 µs, is still pending. The
-/// sensor may then have lost the clock within the burst, and the bytes after that are false. Only
-/// the attitude task calls this, before it publishes: no other transaction is under way then.
+/// Returns whether something holds the bus after a burst: its STOP, of 2.5 µs, is still pending.
+/// The sensor may then have lost the clock within the burst, and the bytes after that are false.
+/// Only the attitude task calls this, before it publishes: no other transaction is under way then.
 #[inline(always)]
 pub fn is_bus_held() -> bool {
     i2c1().cr1().read().stop().bit_is_set()

@@ -28,9 +28,9 @@ const OF_A_CAUSE: Flags = Flags::INVALIDATING
 /// Flags of an attitude by the internal oscillator.
 const BY_INTERNAL_OSCILLATOR: Flags = Flags::INTERNAL_CLOCK.union(Flags::DEGRADED);
 
-/// The longest time without a cause in which attitudes may be degraded, ns: motion begins, and the
-/// filter doubts its offset until the motion confirms it.
-const DOUBT_NS: u64 = 1_000_000_000;
+/// The longest time without a cause in which attitudes may be degraded, ns: when a motion begins,
+/// the filter has to confirm its offset.
+const LONGEST_DEGRADED_NS: u64 = 1_000_000_000;
 
 /// The shortest pause of the samples that may leave an uncertain tilt, ns.
 const UNCERTAIN_NS: u64 = 50_000_000;
@@ -106,7 +106,7 @@ impl Judge<'_> {
         self.check_traces(case, &is_free, failures);
         self.check_samples(&is_free, failures);
         self.check_times(&is_free, failures);
-        self.check_doubt(case, &is_free, failures);
+        self.check_degraded(case, &is_free, failures);
         self.check_clock(case, &is_free, failures);
         self.check_rates(&is_free, failures);
     }
@@ -134,14 +134,19 @@ impl Judge<'_> {
     }
 
     /// Checks that attitudes are not degraded for long without a cause.
-    fn check_doubt(&self, case: &Case, is_free: &impl Fn(u64) -> bool, failures: &mut Vec<String>) {
+    fn check_degraded(
+        &self,
+        case: &Case,
+        is_free: &impl Fn(u64) -> bool,
+        failures: &mut Vec<String>,
+    ) {
         let mut since_ns = None;
         for sample in &self.published {
-            let is_doubt = sample.snapshot.flags.contains(Flags::DEGRADED)
+            let lacks_cause = sample.snapshot.flags.contains(Flags::DEGRADED)
                 && is_free(sample.at_ns)
                 && !self.explained(case, sample.at_ns).contains(Flags::DEGRADED);
-            since_ns = is_doubt.then(|| since_ns.unwrap_or(sample.at_ns));
-            if since_ns.is_some_and(|since_ns| sample.at_ns - since_ns > DOUBT_NS) {
+            since_ns = lacks_cause.then(|| since_ns.unwrap_or(sample.at_ns));
+            if since_ns.is_some_and(|since_ns| sample.at_ns - since_ns > LONGEST_DEGRADED_NS) {
                 failures.push(format!(
                     "degraded for more than a second without a cause, until {} s",
                     seconds(sample.at_ns)

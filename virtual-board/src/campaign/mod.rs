@@ -4,8 +4,8 @@
 //!   `stack-overflow`, and when the supply is back.
 //! - A tilt that is wrong by more than the larger of 5° and six σ is never published as valid,
 //!   nor a heading that is wrong by more than the larger of 15° and six σ. No attitude is valid
-//!   without a burst that the sensor delivered. A tilt is degraded from a σ of 5° on, and not valid
-//!   from one of 30° on.
+//!   without a burst that the sensor delivered. A tilt is degraded from a σ of 5° on, and not
+//!   valid from one of 30° on.
 //! - The attitude is valid for 99.5 % of the time without a fault after start-up, and again within
 //!   the deadline after each fault. The deadline is 20 ms after the end of a bus fault. It is 250
 //!   ms after a reset, the sensor's first possible acknowledge, a fault of the sensor's data, the
@@ -19,9 +19,9 @@
 //!   end.
 //! - By the internal oscillator each attitude has its flags, and a save leaves the old record or
 //!   the new one.
-//! - Without a fault no data-ready edge is without its sample, times are right to a microsecond, and
-//!   rates to 6 °/s and 5 %. Each flag has a cause. Without one an attitude is not degraded for
-//!   longer than a second.
+//! - Without a fault no data-ready edge is without its sample, times are right to a microsecond,
+//!   and rates to 6 °/s and 5 %. Each flag has a cause. Without one an attitude is not degraded
+//!   for longer than a second.
 
 mod clock;
 mod compass;

@@ -264,7 +264,7 @@ fn a_condition_without_its_cause_fails() {
 }
 
 #[test]
-fn a_doubt_without_a_cause_ends_in_a_second() {
+fn degraded_attitudes_without_a_cause_end_in_a_second() {
     for (faults, degraded_ms, is_allowed) in [
         ("1.4 0.03 sda-low", 990, true),
         ("1.4 0.03 sda-low", 1_010, false),
