@@ -36,7 +36,8 @@ const LONGEST_DEGRADED_NS: u64 = 1_000_000_000;
 const UNCERTAIN_NS: u64 = 50_000_000;
 
 /// The largest allowed error of the rates: degrees per second, and a share of the true rates. An
-/// offset that motion alone has shown, the sensor's scale and its noise are within.
+/// offset that motion alone has shown, the sensor's scale and its noise are within. The change of
+/// the rates within the filter's delay is added, because the filter smooths it.
 const ALLOWED_RATE_DEG_S: f64 = 6.0;
 const ALLOWED_RATE_SHARE: f64 = 0.05;
 
@@ -288,8 +289,10 @@ impl Judge<'_> {
             let rates = [rates.x, rates.y, rates.z].map(f64::from);
             let error: [f64; 3] = std::array::from_fn(|axis| rates[axis] - truth[axis]);
             let error_deg_s = length(error).to_degrees();
-            let allowed_deg_s =
-                ALLOWED_RATE_DEG_S + ALLOWED_RATE_SHARE * length(truth).to_degrees();
+            let now = edge.truth.body_rates_rad_s;
+            let change: [f64; 3] = std::array::from_fn(|axis| now[axis] - truth[axis]);
+            let share_rad_s = ALLOWED_RATE_SHARE * length(truth) + length(change);
+            let allowed_deg_s = ALLOWED_RATE_DEG_S + share_rad_s.to_degrees();
             // False for NaN.
             let is_allowed = error_deg_s <= allowed_deg_s;
             (!is_allowed).then_some((error_deg_s, edge.time_ns))
