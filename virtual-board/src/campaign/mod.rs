@@ -20,8 +20,8 @@
 //! - By the internal oscillator each attitude has its flags, and a save leaves the old record or
 //!   the new one.
 //! - Without a fault no data-ready edge is without its sample, times are right to a microsecond,
-//!   and rates to 6 °/s and 5 %. Each flag has a cause. Without one an attitude is not degraded
-//!   for longer than a second.
+//!   and rates to 6 °/s, 5 %, and their change in 2 ms. Each flag has a cause. Without one an
+//!   attitude is not degraded for longer than a second.
 
 mod clock;
 mod compass;
