@@ -4,7 +4,7 @@ use aplomb::health::Flags;
 use aplomb_models::sensor::DataReady;
 
 use super::episodes::Episode;
-use super::judge::{COVERED_NS, Judge, Publication, seconds};
+use super::judge::{COVERED_NS, Judge, Publication, first_and_count, seconds};
 use super::{Case, RESET_DEADLINE_NS, deadline_ns};
 use crate::faults::FaultKind;
 use crate::recorder::Sample;
@@ -123,11 +123,10 @@ impl Judge<'_> {
             let flags = sample.snapshot.flags & OF_A_CAUSE;
             is_free(sample.at_ns) && !self.explained(case, sample.at_ns).contains(flags)
         };
-        let mut flagged = self.published.iter().filter(has_no_cause);
-        if let Some(first) = flagged.next() {
+        let flagged = self.published.iter().filter(has_no_cause);
+        if let Some((first, count)) = first_and_count(flagged) {
             failures.push(format!(
-                "{} attitudes flagged without a fault, the first with {} at {} s",
-                1 + flagged.count(),
+                "{count} attitudes flagged without a fault, the first with {} at {} s",
                 first.snapshot.flags,
                 seconds(first.at_ns)
             ));
@@ -265,11 +264,11 @@ impl Judge<'_> {
             };
             (!(-allowed_us..=SYNCHRONISED_US).contains(&late_us)).then_some((late_us, edge.time_ns))
         };
-        let mut wrong = self.record.samples.iter().filter_map(late_us);
-        if let Some((late_us, at_ns)) = wrong.next() {
+        let wrong = self.record.samples.iter().filter_map(late_us);
+        if let Some(((late_us, at_ns), count)) = first_and_count(wrong) {
             failures.push(format!(
-                "{} times were not those of their edges, the first off by {late_us:.1} us at {} s",
-                1 + wrong.count(),
+                "{count} times were not those of their edges, \
+                 the first off by {late_us:.1} us at {} s",
                 seconds(at_ns)
             ));
         }
@@ -298,11 +297,10 @@ impl Judge<'_> {
             (!is_allowed).then_some((error_deg_s, edge.time_ns))
         };
         let certain = self.record.samples.iter().filter(is_certain);
-        let mut wrong = certain.filter_map(wrong_deg_s);
-        if let Some((error_deg_s, at_ns)) = wrong.next() {
+        let wrong = certain.filter_map(wrong_deg_s);
+        if let Some(((error_deg_s, at_ns), count)) = first_and_count(wrong) {
             failures.push(format!(
-                "{} rates were wrong, the first by {error_deg_s:.1} degrees/s at {} s",
-                1 + wrong.count(),
+                "{count} rates were wrong, the first by {error_deg_s:.1} degrees/s at {} s",
                 seconds(at_ns)
             ));
         }

@@ -180,22 +180,20 @@ impl Judge<'_> {
                 (sigma_deg <= DEGRADED_SIGMA_DEG, sigma_deg < LOST_SIGMA_DEG);
             is_valid && !is_known || !is_degraded && !is_certain
         };
-        let mut wrong = self.published.iter().filter(|it| is_wrong(&it.snapshot));
-        if let Some(first) = wrong.next() {
+        let wrong = self.published.iter().filter(|it| is_wrong(&it.snapshot));
+        if let Some((first, count)) = first_and_count(wrong) {
             failures.push(format!(
-                "{} attitudes with flags that deny their sigma, the first with {} at {} s",
-                1 + wrong.count(),
+                "{count} attitudes with flags that deny their sigma, the first with {} at {} s",
                 first.snapshot.flags,
                 seconds(first.at_ns)
             ));
         }
         let is_old =
             |sample: &&Sample| !sample.is_new && sample.snapshot.flags.contains(Flags::VALID);
-        let mut old = self.record.samples.iter().filter(is_old);
-        if let Some(first) = old.next() {
+        let old = self.record.samples.iter().filter(is_old);
+        if let Some((first, count)) = first_and_count(old) {
             failures.push(format!(
-                "{} attitudes were valid without a whole new burst, the first at {} s",
-                1 + old.count(),
+                "{count} attitudes were valid without a whole new burst, the first at {} s",
                 seconds(first.published_ns)
             ));
         }
@@ -438,6 +436,12 @@ fn names(faults: &[ScheduledFault]) -> String {
         names.push("save".into());
     }
     names.join(", then ")
+}
+
+/// Returns the first of some findings, and their number; `None` without one.
+pub(super) fn first_and_count<T>(mut findings: impl Iterator<Item = T>) -> Option<(T, usize)> {
+    let first = findings.next()?;
+    Some((first, 1 + findings.count()))
 }
 
 pub(super) fn seconds(at_ns: u64) -> String {
