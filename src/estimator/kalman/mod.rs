@@ -444,7 +444,7 @@ impl Kalman {
     fn run_slices(&mut self, slices: u32) {
         for _ in 0..slices {
             match self.step.slice() {
-                Progress::Idle => self.begin_step(),
+                Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
                 Progress::Propagated | Progress::Checked => self.update_extra_tilt(),
                 Progress::BeforeMeasurements => {
@@ -462,17 +462,6 @@ impl Kalman {
             if !self.is_step_pending {
                 return;
             }
-        }
-    }
-
-    /// Begins a covariance step in two slices: the check of the tilt, which may end the interval
-    /// without a step, and the close of the interval.
-    fn begin_step(&mut self) {
-        self.is_tilt_checked = !self.is_tilt_checked;
-        if self.is_tilt_checked {
-            self.check_tilt();
-        } else {
-            self.close_interval();
         }
     }
 

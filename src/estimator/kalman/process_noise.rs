@@ -8,8 +8,15 @@ use super::propagation::{Interval, PARAMETERS};
 use crate::estimator::arithmetic::{smaller, square};
 
 impl Kalman {
-    /// Closes the interval: adds its velocity, and begins its step with the process noise.
-    pub(super) fn close_interval(&mut self) {
+    /// Begins a covariance step in two slices. The first checks the tilt, which may end the
+    /// interval without a step. The second closes the interval: it adds its velocity, and begins
+    /// its step with the process noise.
+    pub(super) fn begin_covariance_step(&mut self) {
+        self.is_tilt_checked = !self.is_tilt_checked;
+        if self.is_tilt_checked {
+            self.check_tilt();
+            return;
+        }
         let tuning = self.tuning;
         let duration_s = self.interval.duration_s;
         let velocity = self.nominal.velocity_m_s.iter_mut();
@@ -81,7 +88,7 @@ impl Kalman {
     /// Returns the factor with which a parameter's error decays in its turn.
     #[inline(always)]
     pub(super) fn relaxation(&self, duration_s: f32) -> f32 {
-        const TURNS: f32 = (PARAMETERS - FIRST_WITH_PRIOR) as f32;
+        const TURNS: f32 = (PARAMETERS - 3) as f32;
         1.0 - smaller(TURNS * duration_s / self.tuning.parameter_memory_s, 1.0)
     }
 }

@@ -92,7 +92,7 @@ impl RestWatch {
         }
         let change = nominal.force_m_s2 - self.force_m_s2;
         if change.dot(change) > square(tuning.stationary_force_m_s2) {
-            self.end();
+            self.force_m_s2.x = f32::INFINITY;
             return 0.0;
         }
         // The turn goes on until the next update.

@@ -131,7 +131,7 @@ impl Kalman {
         } else {
             let last = self.nominal.rate_rad_s;
             if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(USABLE_TILT_RAD) {
-                self.lose_tilt();
+                self.tilt = Tilt::Lost;
             }
         }
         self.inflate_tilt(hidden_rad2);
@@ -146,7 +146,7 @@ impl Kalman {
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
                 if self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
-                    self.lose_tilt();
+                    self.tilt = Tilt::Lost;
                 }
             }
         }
