@@ -10,6 +10,7 @@ use aplomb_recordings::attitude;
 use aplomb_recordings::simulated::samples;
 
 use crate::parallel;
+use crate::promise::{is_broken, larger};
 
 const HOUR_S: u64 = 3_600;
 /// Start of a flight that does not count, µs.
@@ -49,7 +50,7 @@ impl Score {
         Self {
             rows: self.rows + other.rows,
             squares_deg2: self.squares_deg2 + other.squares_deg2,
-            maximum_deg: self.maximum_deg.max(other.maximum_deg),
+            maximum_deg: larger(self.maximum_deg, other.maximum_deg),
             valid: self.valid + other.valid,
             within_3_sigma: self.within_3_sigma + other.within_3_sigma,
             violations: self.violations + other.violations,
@@ -60,12 +61,11 @@ impl Score {
         let error_deg = error_rad.to_degrees();
         self.rows += 1;
         self.squares_deg2 += error_deg * error_deg;
-        self.maximum_deg = self.maximum_deg.max(error_deg);
+        self.maximum_deg = larger(self.maximum_deg, error_deg);
         self.within_3_sigma += u64::from(error_rad <= 3.0 * sigma_rad);
         if flags.contains(Flags::VALID) {
             self.valid += 1;
-            let limit_rad = (6.0 * sigma_rad).max(5_f64.to_radians());
-            self.violations += u64::from(error_rad > limit_rad);
+            self.violations += u64::from(is_broken(error_deg, sigma_rad.to_degrees()));
         }
     }
 }
@@ -203,5 +203,11 @@ mod tests {
         );
         let row = flight_row(7, &hours[..1]);
         assert!(row.contains("| – | 2.86° |"), "{row}");
+        hours[1].add(f64::NAN, 0.1, Flags::VALID);
+        let row = flight_row(7, &hours);
+        assert!(
+            row.contains("| NaN° |") && row.ends_with("| 2 |\n"),
+            "{row}"
+        );
     }
 }
