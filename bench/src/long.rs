@@ -21,6 +21,7 @@ const START_US: u64 = 60_000_000;
 pub struct Score {
     rows: u64,
     squares_deg2: f64,
+    sum_of_sigmas_deg: f64,
     /// Largest inclination error, degrees.
     pub maximum_deg: f64,
     valid: u64,
@@ -33,6 +34,12 @@ impl Score {
     /// Returns the root mean square of the inclination error, degrees.
     pub fn rms_deg(&self) -> f64 {
         (self.squares_deg2 / self.rows as f64).sqrt()
+    }
+
+    /// Returns the mean σ, degrees.
+    #[cfg(test)]
+    fn mean_sigma_deg(&self) -> f64 {
+        self.sum_of_sigmas_deg / self.rows as f64
     }
 
     /// Returns the share of rows that are `VALID`.
@@ -50,6 +57,7 @@ impl Score {
         Self {
             rows: self.rows + other.rows,
             squares_deg2: self.squares_deg2 + other.squares_deg2,
+            sum_of_sigmas_deg: self.sum_of_sigmas_deg + other.sum_of_sigmas_deg,
             maximum_deg: larger(self.maximum_deg, other.maximum_deg),
             valid: self.valid + other.valid,
             within_3_sigma: self.within_3_sigma + other.within_3_sigma,
@@ -61,6 +69,7 @@ impl Score {
         let error_deg = error_rad.to_degrees();
         self.rows += 1;
         self.squares_deg2 += error_deg * error_deg;
+        self.sum_of_sigmas_deg += sigma_rad.to_degrees();
         self.maximum_deg = larger(self.maximum_deg, error_deg);
         self.within_3_sigma += u64::from(error_rad <= 3.0 * sigma_rad);
         if flags.contains(Flags::VALID) {
@@ -176,6 +185,10 @@ mod tests {
                 assert!(quarter.valid_share() >= 0.9999, "{seed}: {quarters:?}");
                 assert!(quarter.within_3_sigma() >= 0.99, "{seed}: {quarters:?}");
                 assert_eq!(quarter.violations, 0, "{seed}: {quarters:?}");
+                // A large σ would keep any promise.
+                let sigma_deg = quarter.mean_sigma_deg();
+                println!("{seed}: mean σ {sigma_deg:.2} degrees");
+                assert!(sigma_deg < 30.0, "{seed}: {quarters:?}");
             }
             let [_, second, _, last] = quarters[..] else {
                 panic!("{seed}: {} quarters", quarters.len());
