@@ -96,7 +96,8 @@ mod app {
     /// Places for bursts in the queue to the flight log, which uses all but one: those of three
     /// telemetry ticks of 10 ms.
     const LOG_BURSTS: usize = 32;
-    /// Places for readings of the compass in that queue's sibling: seven are those of 70 ms.
+    /// Places for readings of the compass in their queue to the flight log. Seven are in use: the
+    /// readings of 70 ms or more.
     const LOG_READINGS: usize = if compass::IS_BUILT_IN { 8 } else { 2 };
     /// Mount if none is stored; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
