@@ -5,8 +5,8 @@
 /// Largest error of a valid tilt: the larger of this angle, degrees, and so many σ.
 const ALLOWED_DEG: f64 = 5.0;
 const ALLOWED_SIGMAS: f64 = 6.0;
-/// Largest σ of a valid tilt, degrees. With more, six σ are half a turn, which promises nothing. It
-/// has a margin for the rounding of `f32`.
+/// Largest σ of a valid tilt, degrees. With more, six σ are half a turn, which promises nothing.
+/// It has a margin for the rounding of `f32`.
 const LARGEST_SIGMA_DEG: f64 = 30.0 * (1.0 + 1e-5);
 
 /// Returns the largest error that the promise allows at this σ, degrees.

@@ -27,8 +27,8 @@ const SECONDS: u64 = 75;
 const ONSETS_S: [f64; 4] = [0.5, 3.0, 10.0, 20.0];
 /// Accelerations, m/s²: a train, a car, a take-off, a sports car.
 const ACCELERATIONS_M_S2: [f64; 5] = [0.5, 1.0, 2.0, 3.0, 4.0];
-/// Longest mean time of such rides for which the attitude is not `VALID`, ms, and largest mean error
-/// that the promise allows, degrees.
+/// Longest mean time of such rides for which the attitude is not `VALID`, ms, and largest mean
+/// error that the promise allows, degrees.
 const BOUNDS: [(u64, f64); 5] = [
     (2_000, 47.0),
     (2_500, 80.0),
