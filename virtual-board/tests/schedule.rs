@@ -10,9 +10,9 @@ use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
-use common::firmware;
+use common::{POOL, firmware, pooled_run};
 use virtual_board::campaign::Case;
-use virtual_board::flight::{Outcome, Run};
+use virtual_board::flight::Outcome;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::profile::ProcessorPool;
@@ -20,7 +20,7 @@ use virtual_board::schedule::Schedule;
 
 fn fly(seconds: f64, schedule: &str) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
-    Run::new(firmware())
+    pooled_run()
         .seconds(seconds)
         .schedule(&schedule)
         .run()
@@ -128,7 +128,7 @@ fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
 /// Armed, the filter takes no rest for a rest.
 #[test]
 fn the_bursts_of_a_flight_that_arms_and_disarms_replay_to_the_bit() {
-    let run = Run::new(firmware()).seconds(6.0).without_account();
+    let run = pooled_run().seconds(6.0);
     let run = run.command(2.0, "arm").command(4.0, "disarm");
     let outcome = run.run().unwrap();
     let mut file = Vec::new();
@@ -155,7 +155,7 @@ fn the_bursts_of_a_flight_that_arms_and_disarms_replay_to_the_bit() {
 fn one_seed_of_faults_gives_the_same_files_every_time() {
     let folder = |name: &str, seed: u64| {
         let case = Case::by_seed(seed);
-        let outcome = case.fly(&firmware()).unwrap();
+        let outcome = case.fly_pooled(&POOL, &firmware()).unwrap();
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let labels = Labels {
             title: "title".into(),
