@@ -3,6 +3,7 @@
 mod common;
 
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -192,10 +193,18 @@ fn one_seed_of_faults_gives_the_same_files_every_time() {
 
 #[test]
 fn a_flight_with_a_used_processor_is_the_flight_with_a_new_one() {
+    std::thread::scope(|scope| {
+        for seeds in [7_000..7_011, 7_011..7_022] {
+            scope.spawn(|| compare_used_and_new_processors(seeds));
+        }
+    });
+}
+
+/// The first seed warms the processor up. The kinds of faults follow one another, resets of the
+/// core among them.
+fn compare_used_and_new_processors(seeds: Range<u64>) {
     let pool = Arc::new(ProcessorPool::default());
-    // The first seed warms the processor up. The kinds of faults follow one another, resets of
-    // the core among them.
-    for seed in 7_000..7_021 {
+    for seed in seeds {
         let case = Case::by_seed(seed);
         let cold = case.fly(&firmware()).unwrap();
         let warm = case.fly_pooled(&pool, &firmware()).unwrap();
