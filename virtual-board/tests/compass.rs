@@ -9,9 +9,12 @@ use aplomb::health::Flags;
 use aplomb_models::compass::{CompassConfig, EarthField, Magnetism, Part};
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Motion, Mount, Quaternion, Truth};
+use aplomb_models::sensor::SensorErrors;
 use common::pooled_run;
+use virtual_board::bus_step::BusStep;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
+use virtual_board::recorder::Sample;
 use virtual_board::schedule::Schedule;
 
 /// Fields that `status` has printed: body axes, µT.
@@ -351,4 +354,50 @@ fn a_compass_that_is_not_the_named_one_is_reported() {
     assert!(!has_flag(&outcome) && !outcome.uart_reports("compass: "));
     let outcome = named(Kit::Gy87, "compass off");
     assert!(!has_flag(&outcome));
+}
+
+/// Each burst of this sensor ends in 0xFF, as if it had released the bus. That makes a burst invalid
+/// only if the bus error was in that burst.
+#[test]
+fn a_bus_error_in_a_compass_read_costs_no_burst() {
+    let mut chip = SensorErrors::none();
+    chip.gyroscope.offset[2] = -1.0_f64.to_radians() / 16.4;
+    chip.accelerometer.noise_density = SensorErrors::typical(1).accelerometer.noise_density;
+    // At 400 kHz a byte takes 23 us. The times of the flags move through the sample's period.
+    let flags = (0..400).map(|index| {
+        format!(
+            "{:.6} 0.00004 bus-error:flag\n",
+            2.0 + 0.01303 * f64::from(index)
+        )
+    });
+    let run = pooled_run()
+        .kit(Kit::Gy87)
+        .sensor_errors(chip)
+        .motion(Rest::level());
+    let schedule = Schedule::parse("flags", &flags.collect::<String>()).unwrap();
+    let outcome = run.schedule(&schedule).seconds(7.5).run().unwrap();
+    let ends_in_ff = |sample: &Sample| sample.burst.bytes.ends_with(&[0xFF; 2]);
+    assert!(outcome.samples().iter().all(ends_in_ff));
+    let steps = &outcome.record.steps_at_faults;
+    let mut in_compass_reads = 0;
+    for (fault, step) in outcome.faults.iter().zip(steps) {
+        let from_ns = fault.start_ns;
+        let edges = outcome.record.edges.iter().rev();
+        let edge = edges
+            .map(|edge| edge.time_ns)
+            .find(|&time_ns| time_ns <= from_ns)
+            .unwrap();
+        // A burst has ended by then.
+        if from_ns - edge < 450_000 || !matches!(step, BusStep::Read(_)) {
+            continue;
+        }
+        in_compass_reads += 1;
+        let soon = from_ns..from_ns + 3_000_000;
+        let published = outcome
+            .samples()
+            .iter()
+            .filter(|sample| soon.contains(&sample.published_ns));
+        assert_eq!(published.count(), 3, "{from_ns} ns");
+    }
+    assert!(in_compass_reads >= 5, "{in_compass_reads}");
 }

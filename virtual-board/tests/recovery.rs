@@ -893,6 +893,13 @@ const ONCE_FAILED: [(u64, u64, Course, &str, &str); 21] = [
         "1.893657 0.00869 dma-error\n2.284728 0.014615 core-stall\n",
         "samples that were lost long after a recovery counted as lost before its first edge",
     ),
+    (
+        1_300_001_813,
+        26_126,
+        plain,
+        "1.865825 0.022861 bus-error\n",
+        "a burst whose last byte the sensor had not sent was valid",
+    ),
 ];
 
 #[test]
