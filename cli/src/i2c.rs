@@ -357,7 +357,7 @@ mod linux {
             })
         }
 
-        fn come_since(&mut self) -> Result<Option<u64>, String> {
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
             if self.next.is_none() {
                 self.next = self.take_edge()?;
             }
@@ -418,9 +418,8 @@ mod linux {
             })
         }
 
-        fn come_since(&mut self) -> Result<Option<u64>, String> {
-            let next_us = self.next.as_micros() as u64;
-            Ok((self.now_us() >= next_us).then_some(next_us))
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            Ok(None)
         }
 
         fn now_us(&self) -> u64 {

@@ -17,6 +17,9 @@ use embedded_hal::i2c::I2c;
 /// Failed bursts in a row after which the sensor counts as gone.
 const FAILURES_OF_A_LOSS: u8 = 100;
 
+/// Bursts read too late after which the bus is judged.
+const LATE_OF_A_SLOW_BUS: u8 = 100;
+
 /// Time between two checks of the sensor's settings, µs: that of the firmware.
 const CHECK_PERIOD_US: u64 = 44_000;
 
@@ -38,13 +41,13 @@ pub trait Edges {
     /// Returns the reason if no sample comes, and what to do.
     fn wait(&mut self) -> Result<Edge, String>;
 
-    /// Returns the time of the next sample, µs, if it has already come. The next
-    /// [`wait`](Self::wait) returns that sample, or a later one.
+    /// Returns the time of the next edge, µs, if it has already come; `None` for a clock. The next
+    /// [`wait`](Self::wait) returns that edge, or a later one.
     ///
     /// # Errors
     ///
     /// Returns the reason if the source fails.
-    fn come_since(&mut self) -> Result<Option<u64>, String>;
+    fn pending_us(&mut self) -> Result<Option<u64>, String>;
 
     /// Returns the present time, µs, on the clock of the samples.
     fn now_us(&self) -> u64;
@@ -76,6 +79,8 @@ pub struct Sampler<B, D, E> {
     missed: u32,
     /// Duration of the shortest transfer of a burst, µs.
     shortest_us: u64,
+    /// Bursts read too late since the sensor was configured.
+    late: u8,
     /// Time of the last check of the settings, µs.
     checked_at_us: u64,
     /// Result of that check, for the next burst.
@@ -120,6 +125,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
             failed: 0,
             missed: 0,
             shortest_us: u64::MAX,
+            late: 0,
             checked_at_us: 0,
             checked: BoardFlags::empty(),
         })
@@ -130,7 +136,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
     ///
     /// # Errors
     ///
-    /// Returns the reason if the sensor is gone.
+    /// Returns the reason if the sensor is gone, or its bus too slow.
     pub fn step(&mut self) -> Result<Option<Burst>, String> {
         let edge = self.edges.wait()?;
         self.missed = self.missed.saturating_add(edge.skipped);
@@ -164,17 +170,36 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
         Ok(Some(burst))
     }
 
-    /// Returns whether the transfer that has ended may hold a later sample than that of its edge.
-    /// The system may have run other programs before the transfer, or in it.
+    /// Returns whether the transfer that has ended may hold a later sample than that of its edge,
+    /// or a polled one more than a period after its time. The system may have run other programs
+    /// before the transfer, or in it.
     ///
     /// The sensor fixes the sample when its data begin, and they are most of a transfer. So it was
     /// fixed before the second half of the shortest transfer, counted back from the end.
+    ///
+    /// # Errors
+    ///
+    /// Returns the reason if most bursts are late, because a transfer takes longer than a period.
     fn is_too_late(&mut self, started_us: u64) -> Result<bool, String> {
         let ended_us = self.edges.now_us();
-        self.shortest_us = self.shortest_us.min(ended_us.saturating_sub(started_us));
+        let transfer_us = ended_us.saturating_sub(started_us);
+        self.shortest_us = self.shortest_us.min(transfer_us);
+        let period_us = (1e6 / self.config.sample_rate_hz()) as u64;
+        if self.edges.is_polled() {
+            return Ok(transfer_us - self.shortest_us > period_us);
+        }
         let fixed_us = ended_us.saturating_sub(self.shortest_us / 2);
-        let next_us = self.edges.come_since()?;
-        Ok(next_us.is_some_and(|next_us| next_us <= fixed_us))
+        let next_us = self.edges.pending_us()?;
+        let is_late = next_us.is_some_and(|next_us| next_us <= fixed_us);
+        self.late = self.late.saturating_add(u8::from(is_late));
+        if self.late >= LATE_OF_A_SLOW_BUS && self.shortest_us > period_us {
+            return Err(format!(
+                "a transfer takes {} µs, and samples come each {period_us} µs: lower --rate-hz, or \
+                 make the bus faster",
+                self.shortest_us
+            ));
+        }
+        Ok(is_late)
     }
 
     /// Reads the settings back, and restores them if the sensor has lost one. A failed transfer
@@ -194,6 +219,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
 
     /// Configures the sensor again after it was gone. Returns whether it answers.
     pub fn is_back(&mut self) -> bool {
+        (self.late, self.shortest_us) = (0, u64::MAX);
         let configured = self.sensor.configure(&self.config, &mut self.delay);
         configured.is_ok()
     }
@@ -266,7 +292,7 @@ mod tests {
             }
         }
 
-        fn come_since(&mut self) -> Result<Option<u64>, String> {
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
             self.1.extend(self.0.take_edges());
             Ok(self.1.first().map(|edge| edge.time_ns / 1_000))
         }
@@ -560,6 +586,52 @@ mod tests {
                 "{pair:?}"
             );
         }
+    }
+
+    /// Clock of a computer that polls at 200 Hz.
+    struct Polled(IdealBus);
+
+    impl Edges for Polled {
+        fn wait(&mut self) -> Result<Edge, String> {
+            self.0.delay_us(5_000 - (self.now_us() % 5_000) as u32);
+            Ok(Edge {
+                time_us: self.now_us(),
+                skipped: 0,
+            })
+        }
+
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            Ok(None)
+        }
+
+        fn now_us(&self) -> u64 {
+            self.0.0.borrow().1 / 1_000
+        }
+
+        fn is_polled(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn a_bus_that_is_slower_than_the_sensor_is_named_unless_it_is_polled() {
+        let bus = IdealBus::new(SensorConfig::new(1), Swing::by_seed(1, 0.0));
+        let edges = Played(bus.clone(), Vec::new());
+        let slow = Preempted(bus.clone(), 0, |_| 12_000);
+        let found = Sampler::new(slow, bus.clone(), edges, &settings());
+        let mut sampler = found.expect("it is found");
+        let error = (0..300).find_map(|_| sampler.step().err());
+        let error = error.expect("most bursts are late");
+        assert!(error.contains("samples come each 5000 µs"), "{error}");
+        assert!(sampler.is_back());
+        assert_eq!(sampler.step().map(|burst| burst.is_some()), Ok(false));
+        // One preempted burst is older than the others by more than a period.
+        let slow = |burst| if burst == 40 { 18_000 } else { 12_000 };
+        let slow = Preempted(bus.clone(), 0, slow);
+        let found = Sampler::new(slow, bus.clone(), Polled(bus), &settings());
+        let mut sampler = found.expect("it is found");
+        let bursts = (0..300).map(|_| sampler.step().expect("it stays"));
+        assert_eq!(bursts.flatten().count(), 299);
     }
 
     #[test]
