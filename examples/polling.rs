@@ -88,6 +88,7 @@ fn show_attitude<I2C: I2c>(
         // valid before the settings are checked.
         let is_due = number.is_multiple_of(SAMPLES_TO_CHECK);
         if is_due || missed > 0 || pipeline.awaits_scale_check() {
+            board.remove(BoardFlags::SCALES_VERIFIED);
             board |= check_settings(&mut sensor, config, delay);
         }
     }

@@ -178,6 +178,7 @@ async fn show_attitude(i2c: &mut impl Bus, interrupt: &mut impl Wait, sensor: &S
         // valid before the settings are checked.
         let is_due = number.is_multiple_of(SAMPLES_TO_CHECK);
         if is_due || missed > 0 || pipeline.awaits_scale_check() {
+            board.remove(BoardFlags::SCALES_VERIFIED);
             board |= sensor.check(i2c).await;
         }
     }
