@@ -21,9 +21,9 @@ pub const JUDGED_ROWS: usize = 256;
 const FEWEST_JUDGED_ROWS: usize = 8;
 
 /// Largest plausible force, m/s² (100 g).
-const LARGEST_FORCE_M_S2: f64 = 1000.0;
+pub(crate) const LARGEST_FORCE_M_S2: f64 = 1000.0;
 /// Largest plausible rate, rad/s (4,100 °/s): sensors end at 4,000 °/s.
-const LARGEST_RATE_RAD_S: f64 = 72.0;
+pub(crate) const LARGEST_RATE_RAD_S: f64 = 72.0;
 /// Largest plausible rate in a log whose unit is given, rad/s (11,000 °/s).
 const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
 /// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who

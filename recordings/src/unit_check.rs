@@ -8,7 +8,7 @@
 use aplomb_models::motion::geometry::{Vector, add, dot, scale};
 
 use crate::fault::LogFault;
-use crate::plausibility::{JUDGED_ROWS, Judge};
+use crate::plausibility::{JUDGED_ROWS, Judge, LARGEST_FORCE_M_S2, LARGEST_RATE_RAD_S};
 use crate::row::Row;
 use crate::turns::Turns;
 use crate::units::RowOptions;
@@ -17,10 +17,6 @@ use crate::units::RowOptions;
 pub const ROWS_TOGETHER: usize = JUDGED_ROWS;
 /// Time whose rows are averaged, µs.
 const GROUP_US: i64 = 10_000;
-/// Square of a rate that no row of a usual motion exceeds, rad²/s²: any larger one is checked.
-const USUAL_RATE2: f64 = 72.0 * 72.0;
-/// Square of such a force, m²/s⁴.
-const USUAL_FORCE2: f64 = 1e6;
 
 /// Check of the units, row by row.
 #[derive(Clone, Debug)]
@@ -81,8 +77,8 @@ impl UnitCheck {
             self.close_group()?;
             self.group.start_us = time_us;
         }
-        let is_usual = dot(force_m_s2, force_m_s2) <= USUAL_FORCE2
-            && dot(rates_rad_s, rates_rad_s) <= USUAL_RATE2;
+        let is_usual = dot(force_m_s2, force_m_s2) <= LARGEST_FORCE_M_S2.powi(2)
+            && dot(rates_rad_s, rates_rad_s) <= LARGEST_RATE_RAD_S.powi(2);
         if !is_usual || self.judge.is_watching() {
             self.check(time_us, force_m_s2, rates_rad_s)?;
         }
