@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider, unsigned};
 use library::attitude::Vector3;
-use library::calibration::{AccelerometerCorrection, Matrix3, Mount};
+use library::calibration::Mount;
 use library::estimator::Sample;
 use library::estimator::heading::CompassKnowledge;
 use library::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
@@ -102,30 +102,14 @@ impl Knowledge {
 
     /// Returns a pipeline. Without a statement the samples count as calibrated.
     fn pipeline(&self, settings: &Settings) -> Pipeline {
+        let mut pipeline = Pipeline::new(settings);
         let accelerometer = self.accelerometer;
         let accelerometer = accelerometer.unwrap_or(AccelerometerKnowledge::Calibrated);
-        let Some(gyroscope) = self.gyroscope else {
-            let mut pipeline = Pipeline::new(settings);
-            pipeline.set_accelerometer_knowledge(accelerometer);
-            return pipeline;
-        };
-        // A calibration of the settings counts as applied already. Only more than six poses show
-        // cross-axis terms.
-        let mut settings = *settings;
-        let mut correction = AccelerometerCorrection::NONE;
-        settings.calibration.accelerometer = match accelerometer {
-            AccelerometerKnowledge::Factory => None,
-            AccelerometerKnowledge::SixPoses => Some(correction),
-            AccelerometerKnowledge::Calibrated => {
-                correction.matrix.xy = f32::MIN_POSITIVE;
-                Some(correction)
-            }
-        };
-        settings.calibration.gyroscope_matrix = match gyroscope {
-            GyroscopeKnowledge::Factory => None,
-            GyroscopeKnowledge::Calibrated => Some(Matrix3::IDENTITY),
-        };
-        Pipeline::new(&settings)
+        pipeline.set_accelerometer_knowledge(accelerometer);
+        if let Some(gyroscope) = self.gyroscope {
+            pipeline.set_gyroscope_knowledge(gyroscope);
+        }
+        pipeline
     }
 }
 
