@@ -9,8 +9,8 @@
 //! [`show_attitude`] and its functions work on any chip; `main` is for the boards of this project.
 //! In a project of your own: `aplomb = { path = "../aplomb" }` without features, and your chip's
 //! HAL, which runs the core by a crystal. A read blocks for 0.4 ms at 400 kHz. At less than 1000
-//! samples a second, raise `sample_rate_divider` and lower the low-pass filter with it. The settings
-//! are read back in another 0.4 ms, so that a sensor that has lost them is found.
+//! samples a second, raise `sample_rate_divider` and lower the low-pass filter with it. The
+//! settings are read back in another 0.4 ms, so that a sensor that has lost them is found.
 
 #![no_std]
 #![no_main]

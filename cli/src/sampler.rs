@@ -194,8 +194,8 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
         self.late = self.late.saturating_add(u8::from(is_late));
         if self.late >= LATE_OF_A_SLOW_BUS && self.shortest_us > period_us {
             return Err(format!(
-                "a transfer takes {} µs, and samples come each {period_us} µs: lower --rate-hz, or \
-                 make the bus faster",
+                "a transfer takes {} µs, and samples come each {period_us} µs: lower --rate-hz, \
+                 or make the bus faster",
                 self.shortest_us
             ));
         }
