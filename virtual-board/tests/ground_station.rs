@@ -6,6 +6,7 @@ mod common;
 use aplomb_models::motion::rest::Rest;
 use common::pooled_run;
 use virtual_board::flight::Outcome;
+use virtual_board::schedule::Schedule;
 
 /// Message COMMAND_LONG, and the seed of its checksum.
 const COMMAND_LONG: (u8, u8) = (76, 152);
@@ -165,14 +166,19 @@ fn text_behind_a_change_of_the_format_never_runs() {
     );
 }
 
-/// The heartbeats of a ground station confirm the baud rate that it has set.
-#[test]
-fn a_heartbeat_confirms_a_baud_rate() {
+/// Returns a frame that sets this baud rate.
+fn set_baud(baud: f32) -> Vec<u8> {
     let mut set = [0; 23];
-    set[..4].copy_from_slice(&921_600.0_f32.to_le_bytes());
+    set[..4].copy_from_slice(&baud.to_le_bytes());
     set[4] = 1;
     set[6..14].copy_from_slice(b"OUT_BAUD");
     set[22] = 9;
+    frame(PARAM_SET, &set)
+}
+
+/// The heartbeats of a ground station confirm the baud rate that it has set.
+#[test]
+fn a_heartbeat_confirms_a_baud_rate() {
     let run = |second: &[u8]| {
         pooled_run()
             .seconds(13.0)
@@ -180,7 +186,7 @@ fn a_heartbeat_confirms_a_baud_rate() {
             .command(1.0, "format mavlink")
             .send(
                 1.5,
-                &[frame(PARAM_SET, &set), frame(HEARTBEAT, &[6, 8])].concat(),
+                &[set_baud(921_600.0), frame(HEARTBEAT, &[6, 8])].concat(),
             )
             .send(3.0, second)
             .run()
@@ -193,6 +199,33 @@ fn a_heartbeat_confirms_a_baud_rate() {
     let unheard = run(&heartbeat[1..]);
     let reverted = "failed baud: nothing was understood at 921600, it is 115200 again";
     assert_eq!(answers(&unheard)[2..], [reverted]);
+}
+
+/// After the crash the module still sends at the rate that a frame has confirmed.
+#[test]
+fn a_baud_rate_that_a_frame_has_confirmed_outlives_a_crash() {
+    let schedule = Schedule::parse("crash", "4.0 0 crash").unwrap();
+    let outcome = pooled_run()
+        .seconds(5.0)
+        .motion(Rest::level())
+        .command(1.0, "format mavlink")
+        .send(1.5, &set_baud(921_600.0))
+        .send(2.5, &frame(HEARTBEAT, &[0, 0, 0, 0, 6, 8, 0, 4, 3]))
+        .schedule(&schedule)
+        .run()
+        .unwrap();
+    assert_eq!(outcome.record.resets_ns.len(), 1);
+    // At 921,600 baud a byte takes 11 us, at 115,200 baud 87 us.
+    let times_ns = outcome
+        .record
+        .received
+        .iter()
+        .map(|received| received.at_ns);
+    let last: Vec<u64> = times_ns
+        .skip_while(|&at_ns| at_ns < 4_500_000_000)
+        .collect();
+    let shortest = last.windows(2).map(|pair| pair[1] - pair[0]).min();
+    assert!(shortest < Some(12_000), "{shortest:?}");
 }
 
 /// A command confirms a new baud rate only if it was received at that rate.
