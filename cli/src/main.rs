@@ -25,13 +25,17 @@ mod simulate;
 mod source;
 mod stream;
 mod talk;
+mod usage;
 mod vibration_monitor;
 mod view;
 
 use std::process::ExitCode;
 
-use aplomb_recordings::terminal;
+use aplomb_recordings::terminal::{self, print_message};
 use clap::Parser;
+
+/// Exit code of wrong usage, as that of clap.
+const WRONG_USAGE: u8 = 2;
 
 /// Attitude from an MPU-6050, on a computer.
 #[derive(Parser)]
@@ -42,7 +46,8 @@ use clap::Parser;
   aplomb plot flight.csv.gz --sensor-delay-us 1900 --output flight.png
 `aplomb COMMAND --help` has more of each.
 
-Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
+Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage, such as
+an option that means nothing for the input.")]
 enum Command {
     Replay(replay::Options),
     Calibrate(calibrate::Options),
@@ -75,8 +80,11 @@ fn main() -> ExitCode {
     match result.and(terminal::finish().map_err(Into::into)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
+            print_message(&format!("error: {error}"));
+            match error.is::<usage::Usage>() {
+                true => ExitCode::from(WRONG_USAGE),
+                false => ExitCode::FAILURE,
+            }
         }
     }
 }
