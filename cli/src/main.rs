@@ -1,9 +1,13 @@
 //! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
 //! and simulates them, and finds calibrations.
 
+// Both panic once a terminal or a pipe is closed: `terminal` prints instead.
+#![cfg_attr(not(test), deny(clippy::print_stdout, clippy::print_stderr))]
+
 mod any_pipeline;
 mod arming;
 mod bring_up;
+mod burst_rows;
 mod calibrate;
 mod calibration_file;
 mod completions;
