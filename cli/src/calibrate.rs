@@ -25,12 +25,14 @@ use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Rows;
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::rate::median_step_us;
-use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::terminal::{print_line, print_message};
 use aplomb_recordings::units::RowOptions;
 
+use crate::burst_rows::BurstRows;
 use crate::count_options::CountOptions;
 use crate::i2c::I2cOptions;
 use crate::progress;
+use crate::usage::Usage;
 
 use report::json;
 use samples::{Sample, find_plateaus, finest_config, read_bursts, read_rows, to_samples};
@@ -87,14 +89,10 @@ pub struct Options {
     counts: CountOptions,
     #[command(flatten)]
     rows: RowOptions,
-    /// Age of the compass's readings against the samples of their rows, in microseconds
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        value_parser = clap::value_parser!(u32).range(..=1_000_000)
-    )]
-    compass_delay_us: u32,
+    /// Age of the compass's readings against the samples of their rows, in microseconds [default:
+    /// 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=1_000_000))]
+    compass_delay_us: Option<u32>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -103,8 +101,49 @@ pub struct Options {
     draw_poses: Option<PathBuf>,
 }
 
+impl Options {
+    /// Refuses options that mean nothing without a recording.
+    fn check(&self) -> Result<(), Usage> {
+        if self.input.is_some() {
+            return Ok(());
+        }
+        let is_on_bus = self.sensor.i2c.is_some();
+        let own = [
+            ("--compass-delay-us", self.compass_delay_us.is_some()),
+            ("--sensor-mount", self.sensor.mount.is_some()),
+            ("--calibration", self.sensor.calibration.is_some()),
+            ("--json", self.json && !is_on_bus),
+        ];
+        let given = self.counts.given().into_iter().chain(self.rows.given());
+        let mut unused = given.chain(own).filter(|(_, is_given)| *is_given);
+        let reason = match is_on_bus {
+            true => "a sensor on a bus is calibrated from its own counts, in its own axes",
+            false => "there is no recording",
+        };
+        match unused.next() {
+            Some((name, _)) => Err(format!("{name} would change nothing: {reason}").into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Refuses the options of a compass where there is none.
+    fn check_compass(&self, form: Form) -> Result<(), Usage> {
+        let has_compass = matches!(form, Form::Log(columns) if columns.has_compass());
+        let is_given = self.compass_delay_us.is_some() || self.rows.field_unit.is_some();
+        if is_given && !has_compass {
+            return Err(
+                "--compass-delay-us and --field-unit would change nothing: the recording has no \
+                 compass"
+                    .into(),
+            );
+        }
+        Ok(())
+    }
+}
+
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
+    options.check()?;
     if let Some(path) = &options.draw_poses {
         let inputs: Vec<&Path> = options.input.iter().map(PathBuf::as_path).collect();
         OutputFile::write(path, &inputs, &crate::poses::draw().png())?;
@@ -134,7 +173,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         .accelerometer(&mut report)
         .map_err(|reason| format!("{}: {reason}", input.display()));
     let sensors = (accelerometer.as_ref()).map_or(Calibration::NONE, report::Found::calibration);
-    let compass = compass::find(&recording, options.compass_delay_us, &sensors)
+    let compass = compass::find(&recording, options.compass_delay_us.unwrap_or(0), &sensors)
         .map(|found| found.map_err(|reason| format!("compass: {reason}")));
     match (&accelerometer, &compass) {
         (Err(reason), None) => return Err(reason.clone().into()),
@@ -171,18 +210,18 @@ impl Recording {
         if flight_log::is_flight_log(path) {
             let name = path.display();
             return Err(format!(
-                "{name}: it is a flight log. Make bursts of it, and calibrate from them with the \
-                 --accel-range and --gyro-range that `convert` prints: aplomb convert {name} \
-                 poses-bursts.csv"
+                "{name}: it is a flight log. Make bursts of it, and calibrate from them: aplomb \
+                 convert {name} poses-bursts.csv"
             )
             .into());
         }
         let mut lines = progress::lines(path)?;
         let form = Form::read(&mut lines)?;
         options.counts.check(form, &options.rows)?;
-        let mut config = options.counts.config();
+        options.check_compass(form)?;
+        let mut config = options.counts.ranges.config(lines.stated());
         let samples = match form {
-            Form::Bursts => read_bursts(&mut lines)?,
+            Form::Bursts => read_bursts(BurstRows::new(lines, options.rows.bad_rows))?,
             Form::Log(columns) => {
                 let is_raw = options.counts.raw;
                 let rows = read_rows(Rows::new(lines, columns, options.rows, is_raw)?)?;
@@ -191,7 +230,7 @@ impl Recording {
                 if !is_raw {
                     config = finest_config(&rows).map_err(at_line)?;
                     if let Some((plateaus, message)) = find_plateaus(&rows) {
-                        eprintln!("warning: {}: {message}", path.display());
+                        print_message(&format!("warning: {}: {message}", path.display()));
                         clipped = Some(plateaus);
                     }
                 }

@@ -1,5 +1,6 @@
 //! Calibration in a file: the JSON of `aplomb calibrate`.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use aplomb::attitude::Vector3;
@@ -7,6 +8,14 @@ use aplomb::calibration::{
     AccelerometerCorrection, Calibration, CompassCorrection, Matrix3, SymmetricMatrix,
 };
 use aplomb_recordings::text::read_small;
+
+/// Mean gains of a compass's matrix: readings and field are in µT.
+const GAINS: RangeInclusive<f32> = 0.1..=10.0;
+/// Largest hard iron, µT: the full scale of the widest compass, the AK8963 with 4,912.
+const MOST_IRON_UT: f32 = 5_000.0;
+/// Least volume of what a compass's matrix makes of a cube, as a share of the cube with its mean
+/// gain. Soft iron that doubles one axis and halves another leaves 0.4.
+const LEAST_VOLUME: f32 = 0.1;
 
 /// Calibration of accelerometer, gyroscope and compass. At least one is there.
 #[derive(Clone, Copy, Debug)]
@@ -63,11 +72,30 @@ impl CalibrationFile {
             matrix: found.matrix.map(vector),
             hard_iron_ut: vector(found.hard_iron_ut),
         });
+        if !compass.as_ref().is_none_or(is_plausible) {
+            return Err(
+                "no compass has the correction in \"compass\": its hard iron has to be below 5000 \
+                 uT, the gains of its matrix from 0.1 to 10, and its rows in different directions"
+                    .into(),
+            );
+        }
         if sensors == Calibration::NONE && compass.is_none() {
             return Err("there is no calibration in it".into());
         }
         Ok(Self { sensors, compass })
     }
+}
+
+/// Returns whether a compass can have this correction, whose field then turns with the body.
+fn is_plausible(correction: &CompassCorrection) -> bool {
+    let Vector3 { x, y, z } = correction.hard_iron_ut;
+    let [a, b, c] = correction.matrix;
+    let mean_gain = ((a.dot(a) + b.dot(b) + c.dot(c)) / 3.0).sqrt();
+    // Of a cube with this gain. A NaN fails both comparisons.
+    let volume = a.cross(b).dot(c).abs() / mean_gain.powi(3);
+    [x, y, z].iter().all(|iron| iron.abs() <= MOST_IRON_UT)
+        && GAINS.contains(&mean_gain)
+        && volume >= LEAST_VOLUME
 }
 
 /// The file's names; those of `aplomb calibrate --json`.
@@ -119,10 +147,15 @@ mod tests {
         assert!(reason.starts_with("its rule is nearly_still"), "{reason}");
     }
 
+    fn compass(matrix: &str, iron: &str) -> String {
+        format!("{{\"compass\":{{\"matrix\":{matrix},\"hard_iron_ut\":[{iron},2,3]}}}}")
+    }
+
     #[test]
     fn a_compass_may_be_all_there_is() {
-        let json = format!("{{\"compass\":{{\"matrix\":{IDENTITY},\"hard_iron_ut\":[1,2,3]}}}}");
-        let file = CalibrationFile::parse(&json).expect("a calibration");
+        let mirrored = compass("[[0,2,0],[1,0,0],[0,0,0.5]]", "-900");
+        assert!(CalibrationFile::parse(&mirrored).is_ok());
+        let file = CalibrationFile::parse(&compass(IDENTITY, "1")).expect("a calibration");
         assert_eq!(file.sensors, Calibration::NONE);
         let iron = file.compass.map(|compass| compass.hard_iron_ut);
         assert_eq!(iron, Some(Vector3::new(1.0, 2.0, 3.0)));
@@ -139,6 +172,13 @@ mod tests {
                 "not symmetric",
             ),
             ("t_us,ax", "aplomb calibrate --json"),
+            (&compass("[[0,0,0],[0,0,0],[0,0,0]]", "1"), "no compass has"),
+            (&compass("[[1,0,0],[0,1,0],[1,1,0]]", "1"), "no compass has"),
+            (
+                &compass("[[90,0,0],[0,90,0],[0,0,90]]", "1"),
+                "no compass has",
+            ),
+            (&compass(IDENTITY, "1e39"), "no compass has"),
         ] {
             let refused = CalibrationFile::parse(json).expect_err(json);
             assert!(refused.contains(reason), "{json}: {refused}");

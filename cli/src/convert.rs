@@ -8,6 +8,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::health::BoardFlags;
 use aplomb::mpu6050::{
     AccelerometerCounts, Burst, Config, GyroscopeCounts, Part, RawSample, TemperatureCounts,
@@ -16,14 +17,17 @@ use aplomb::pipeline::{CompassReading, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log;
 use aplomb_recordings::form::Form;
-use aplomb_recordings::log::{Lines, LogFault, Row, Rows};
+use aplomb_recordings::log::{LogFault, Row, Rows};
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider};
 use aplomb_recordings::terminal::print_line;
 use aplomb_recordings::units::RowOptions;
 
 use crate::arming::{LoggedArming, bursts_arm};
+use crate::burst_rows::BurstRows;
+use crate::count_options::{RangeOptions, check_rows_of_bursts};
 use crate::progress;
+use crate::usage::Usage;
 
 use replay_hint::{Readings, Replayed};
 use writers::{Target, write_bursts, write_csv, write_log};
@@ -34,11 +38,13 @@ use writers::{Target, write_bursts, write_csv, write_log};
 /// SI units, plain or gzipped. OUTPUT's name decides on its form: *.log a flight log, *bursts.csv
 /// bursts, any other *.csv a recording in SI units and the sensor's axes, as `replay` reads it,
 /// with mx,my,mz in µT if a flight log has readings of a compass; they are corrected. All three
-/// forms keep the armed state. A recording in SI units becomes counts at 16 g and 2000 degrees per
-/// second, rounded; its truth is left out. Bursts and CSV recordings have no place for a flight
-/// log's mount and calibration, and bursts none for its ranges: `convert` prints the options to
-/// replay them with. The values are the sensor's own, without the flight's calibration. A CSV made
-/// of them says so in its first line, `# --accelerometer factory`.
+/// forms keep the armed state and the knowledge of the accelerometer that the input states. A
+/// recording in SI units becomes counts at 16 g and 2000 degrees per second, rounded; its truth is
+/// left out. Bursts and CSV recordings have no place for a flight log's mount and calibration:
+/// `convert` prints the options to replay them with. The values are the sensor's own, without the
+/// flight's calibration. A CSV made of them says so in its first line, `# --accelerometer factory`.
+/// Bursts of other ranges than 16 g and 2000 degrees per second begin with lines such as
+/// `# --accel-range 2`.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb convert flight.log flight-bursts.csv
@@ -47,7 +53,8 @@ use writers::{Target, write_bursts, write_csv, write_log};
 JSON: input, output, bursts, bursts_lost, damaged_pieces,
 clipped_values (of a recording in SI units, beyond the ranges), left_out (what the output has no
 place for: temperature, flags, truth, compass), armed_unknown (true if a flight log's armed state
-cannot be read), readings (of a compass, if any were written).")]
+cannot be read), readings (of a compass, if any were written), replay_options (for the output's
+replay, if it is made of bursts or of a flight log).")]
 pub struct Options {
     /// The recording
     input: PathBuf,
@@ -59,6 +66,8 @@ pub struct Options {
     /// Number of the flight, in a flight log with several starts of the module, counted from 1
     #[arg(long, value_name = "N")]
     flight: Option<usize>,
+    #[command(flatten)]
+    ranges: RangeOptions,
     #[command(flatten)]
     rows: RowOptions,
     /// Print the summary as JSON
@@ -99,46 +108,42 @@ impl Kind {
     }
 
     /// Refuses a conversion into the present kind, and options that mean nothing.
-    fn check(self, options: &Options, into: Self) -> Result<(), String> {
+    fn check(self, options: &Options, into: Self) -> Result<(), Usage> {
         let input = options.input.display();
-        let given = options.rows.given().into_iter();
-        let mut given = given.filter_map(|(name, is_given)| is_given.then_some(name));
-        if let Some(name) = given
-            .next()
-            .filter(|_| self == Self::Csv && into == Self::Csv)
-        {
+        let rows = options.rows.given();
+        let given = rows.iter().find(|(_, is_given)| *is_given);
+        if let Some((name, _)) = given.filter(|_| self == Self::Csv && into == Self::Csv) {
             return Err(format!(
                 "{input}: `convert` changes the form of a recording, and no CSV into another: \
                  `replay`, `plot` and `calibrate` take {name} themselves"
-            ));
+            )
+            .into());
         }
         if self == into {
-            return Err(format!("{input}: it is {} already: copy it", self.name()));
+            return Err(format!("{input}: it is {} already: copy it", self.name()).into());
         }
         if options.mount.is_some() && into != Self::FlightLog {
-            return Err(format!(
-                "{input}: --mount would change nothing: {} does not say it",
-                into.name()
-            ));
+            let into = into.name();
+            return Err(
+                format!("{input}: --mount would change nothing: {into} does not say it").into(),
+            );
         }
-        if options.flight.is_some() && self != Self::FlightLog {
-            return Err(format!(
-                "{input}: --flight would change nothing: it is {}",
-                self.name()
-            ));
+        let ranges = options.ranges.given().into_iter();
+        let own = ranges.filter(|_| self != Self::Bursts);
+        let own = own.chain([(
+            "--flight",
+            options.flight.is_some() && self != Self::FlightLog,
+        )]);
+        let rows = rows.into_iter().filter(|_| self == Self::FlightLog);
+        let mut unused = own.chain(rows).filter(|(_, is_given)| *is_given);
+        if let Some((name, _)) = unused.next() {
+            let own = self.name();
+            return Err(format!("{input}: {name} would change nothing: it is {own}").into());
         }
-        let unused = options
-            .rows
-            .given()
-            .into_iter()
-            .find(|(_, is_given)| *is_given);
-        if let Some((name, _)) = unused.filter(|_| self != Self::Csv) {
-            return Err(format!(
-                "{input}: {name} would change nothing: it is {}",
-                self.name()
-            ));
+        match self {
+            Self::Bursts => check_rows_of_bursts(&options.rows),
+            Self::FlightLog | Self::Csv => Ok(()),
         }
-        Ok(())
     }
 }
 
@@ -180,10 +185,10 @@ impl Written {
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let output = &options.output;
     let into = Kind::of_name(output).ok_or_else(|| {
-        format!(
+        Usage::from(format!(
             "{}: the name has to end with .log, bursts.csv or .csv, which says what to write",
             output.display()
-        )
+        ))
     })?;
     let mut found = open(options, into)?;
     let flown = found.replayed.as_ref().and_then(Replayed::mount);
@@ -197,7 +202,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         settings,
         has_compass,
         has_armed: found.has_armed,
-        knowledge: found.replayed.as_ref().map(Replayed::knowledge),
+        knowledge: found.knowledge,
     };
     let write = match into {
         Kind::FlightLog => write_log,
@@ -220,6 +225,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(failure) = failure {
         return Err(failure);
     }
+    if written.bursts == 0 {
+        let input = options.input.display();
+        return Err(format!("{input}: there is no row after the header").into());
+    }
     file.finish()?;
     report(options, into, &found, &mut written)
 }
@@ -233,6 +242,8 @@ fn report(
 ) -> Result<(), Box<dyn Error>> {
     let writes_readings = into == Kind::Csv && written.readings.count > 0;
     let left_out = found.left_out(into, written.has_flags);
+    let replayed = found.replayed.as_ref();
+    let replay_options = replayed.and_then(|it| it.options(into, &mut written.readings));
     let summary = Summary {
         input: options.input.display().to_string(),
         output: options.output.display().to_string(),
@@ -243,6 +254,7 @@ fn report(
         left_out,
         armed_unknown: found.is_armed_unknown,
         readings: writes_readings.then_some(written.readings.count),
+        replay_options,
     };
     if options.json {
         print_line(&serde_json::to_string(&summary)?);
@@ -275,8 +287,8 @@ fn report(
             summary.output
         ));
     }
-    if let Some(replayed) = &found.replayed {
-        for line in replayed.lines(into, &mut written.readings) {
+    if let Some((replayed, replay_options)) = replayed.zip(summary.replay_options) {
+        for line in replayed.lines(into, &replay_options, &written.readings) {
             print_line(&line);
         }
     }
@@ -297,6 +309,8 @@ struct Summary {
     armed_unknown: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     readings: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    replay_options: Option<String>,
 }
 
 /// Recording whose bursts are still to be read.
@@ -304,6 +318,8 @@ struct Input {
     config: Config,
     /// Settings for a replay of its bursts; `None` of a recording in SI units.
     replayed: Option<Replayed>,
+    /// Knowledge of accelerometer and gyroscope, if it is known.
+    knowledge: Option<AccelerometerKnowledge>,
     part: &'static Part,
     bursts: Bursts,
     bursts_lost: u64,
@@ -342,9 +358,11 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     }
     let mut lines = progress::lines(path)?;
     let form = Form::read(&mut lines)?;
+    let stated = *lines.stated();
     let table = |has_armed: bool, (divider, bursts): (u8, Bursts)| Input {
         config: Config::DEFAULT.with_sample_rate_divider(divider),
         replayed: None,
+        knowledge: stated.accelerometer,
         part: &Part::MPU_6050,
         bursts,
         bursts_lost: 0,
@@ -358,13 +376,21 @@ fn open(options: &Options, into: Kind) -> Result<Input, Box<dyn Error>> {
     match form {
         Form::Bursts => {
             Kind::Bursts.check(options, into)?;
-            let replayed = Replayed::of_bursts(lines.accelerometer());
-            let next = move || next_burst(&mut lines).transpose();
+            let mut rows = BurstRows::new(lines, options.rows.bad_rows);
+            let next = move || next_burst(&mut rows).transpose();
             let bursts = std::iter::from_fn(next);
             let has_armed = into == Kind::Csv && bursts_arm(path);
+            let (divider, bursts) = with_divider(bursts, divider_of_bursts);
+            let config = options.ranges.config(&stated);
+            let config = config.with_sample_rate_divider(divider);
+            let knowledge = stated
+                .accelerometer
+                .unwrap_or(AccelerometerKnowledge::Factory);
             Ok(Input {
-                replayed: Some(replayed),
-                ..table(has_armed, with_divider(bursts, divider_of_bursts))
+                config,
+                replayed: Some(Replayed::of_bursts(config, knowledge)),
+                knowledge: Some(knowledge),
+                ..table(has_armed, (divider, bursts))
             })
         }
         Form::Log(columns) => {
@@ -424,6 +450,8 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
     Ok(Input {
         config: sensor,
         replayed: Some(Replayed::of_flight(first.settings)),
+        // The values are the sensor's own: no calibration of the flight counts.
+        knowledge: Some(AccelerometerKnowledge::Factory),
         part,
         bursts: Box::new(steps.map(move |step| {
             let number = step.numbered.number;
@@ -448,13 +476,9 @@ fn open_flight_log(options: &Options, into: Kind) -> Result<Input, Box<dyn Error
 }
 
 /// Returns the next burst of a table of bursts.
-fn next_burst(lines: &mut Lines) -> Result<Option<Recorded>, Box<dyn Error>> {
-    let Some(line) = lines.next_line()? else {
-        return Ok(None);
-    };
-    let decoded = bursts::decode(line);
-    let row = decoded.map_err(|reason| format!("{}: {reason}", lines.place()))?;
-    Ok(Some(Recorded {
+fn next_burst(rows: &mut BurstRows) -> Result<Option<Recorded>, Box<dyn Error>> {
+    let row = rows.next_row()?;
+    Ok(row.map(|row| Recorded {
         row,
         reading: None,
         clipped_values: 0,

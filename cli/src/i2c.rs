@@ -8,6 +8,7 @@ use aplomb::calibration::{Calibration, Mount};
 use aplomb::mpu6050::{Burst, Config, LowPass, Part, RawSample};
 use aplomb::pipeline::Settings;
 use aplomb_recordings::rate::divider_of_period;
+use aplomb_recordings::terminal::print_message;
 
 use crate::calibration_file::CalibrationFile;
 use crate::sampler::SensorSettings;
@@ -42,10 +43,10 @@ pub struct I2cOptions {
     rate_hz: u16,
     /// Mount of that sensor: the body's forward and down axes in sensor axes, such as +x-z
     #[arg(long = "sensor-mount", requires = "i2c", allow_hyphen_values = true)]
-    mount: Option<Mount>,
+    pub mount: Option<Mount>,
     /// The calibration of accelerometer and gyroscope: what `aplomb calibrate` prints as JSON
     #[arg(long, requires = "i2c", value_name = "FILE")]
-    calibration: Option<PathBuf>,
+    pub calibration: Option<PathBuf>,
 }
 
 impl Default for I2cOptions {
@@ -132,10 +133,10 @@ impl I2cOptions {
     /// Samples for so many seconds, to calibrate. Returns times, µs, counts and the configuration.
     pub fn collect(&self, seconds: u64) -> Result<(Vec<(i64, RawSample)>, Config), String> {
         let (mut sensor, config) = self.open()?;
-        eprintln!(
+        print_message(&format!(
             "lay the sensor on each of its six sides, then in six poses halfway between two \
              sides, 2 s in each; {seconds} s"
-        );
+        ));
         let (started, duration) = (Instant::now(), Duration::from_secs(seconds));
         let mut samples = Vec::new();
         while started.elapsed() < duration {

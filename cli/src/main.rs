@@ -1,9 +1,13 @@
 //! `aplomb`: shows and records a module, replays recordings through the library, draws, converts
 //! and simulates them, and finds calibrations.
 
+// Both panic once a terminal or a pipe is closed: `terminal` prints instead.
+#![cfg_attr(not(test), deny(clippy::print_stdout, clippy::print_stderr))]
+
 mod any_pipeline;
 mod arming;
 mod bring_up;
+mod burst_rows;
 mod calibrate;
 mod calibration_file;
 mod completions;
@@ -25,13 +29,17 @@ mod simulate;
 mod source;
 mod stream;
 mod talk;
+mod usage;
 mod vibration_monitor;
 mod view;
 
 use std::process::ExitCode;
 
-use aplomb_recordings::terminal;
+use aplomb_recordings::terminal::{self, print_message};
 use clap::Parser;
+
+/// Exit code of wrong usage, as that of clap.
+const WRONG_USAGE: u8 = 2;
 
 /// Attitude from an MPU-6050, on a computer.
 #[derive(Parser)]
@@ -42,7 +50,8 @@ use clap::Parser;
   aplomb plot flight.csv.gz --sensor-delay-us 1900 --output flight.png
 `aplomb COMMAND --help` has more of each.
 
-Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage.")]
+Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage, such as
+an option that means nothing for the input.")]
 enum Command {
     Replay(replay::Options),
     Calibrate(calibrate::Options),
@@ -75,8 +84,11 @@ fn main() -> ExitCode {
     match result.and(terminal::finish().map_err(Into::into)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
+            print_message(&format!("error: {error}"));
+            match error.is::<usage::Usage>() {
+                true => ExitCode::from(WRONG_USAGE),
+                false => ExitCode::FAILURE,
+            }
         }
     }
 }

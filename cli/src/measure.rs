@@ -1,15 +1,16 @@
 //! `aplomb measure`: the module's own figures, beside those of the virtual board.
 
 use std::error::Error;
-use std::thread::sleep;
 use std::time::Duration;
 
 use aplomb_recordings::terminal::print_line;
 use serde::Serialize;
 
+use crate::end_request::end_request;
 use crate::link::{BAUD, which_port};
 use crate::stream::{field, numbers};
 use crate::talk::Talk;
+use crate::usage::Usage;
 
 /// Figures of the virtual board, as `cargo xtask results` has written them.
 const RESULTS: &str = include_str!("virtual_board.toml");
@@ -20,7 +21,7 @@ const NOMINAL_HZ: f64 = 1_000.0;
 /// Have a module measure itself: cycles, latency, load, samples lost, jitter, stack, noise.
 ///
 /// The module counts on its own while it flies as always. Keep it at rest for the noise. The table
-/// has the virtual board's figures beside the module's.
+/// has the virtual board's figures beside the module's. After Ctrl-C the module measures no more.
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   aplomb measure --port /dev/ttyUSB0
@@ -294,7 +295,9 @@ impl VirtualBoard {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    let port = options.port.as_ref().ok_or_else(which_port)?;
+    let port = options.port.as_ref();
+    let port = port.ok_or_else(|| Usage::from(which_port()))?;
+    end_request()?;
     let mut talk = Talk::open(port, options.baud)?;
     let figures = measure(&mut talk, options.seconds)?;
     if options.json {
@@ -307,19 +310,19 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Has the module measure itself for this time.
+/// Has the module measure itself for this time. Afterwards, or after Ctrl-C, it measures no more.
 pub fn measure(talk: &mut Talk, seconds: u32) -> Result<Figures, String> {
     let status = talk.ask("status")?;
     if field(&status, "sensor") == Some("none") {
         return Err("the module has no sensor: `aplomb bring-up` finds out why".into());
     }
-    talk.ask("measure on")?;
-    sleep(Duration::from_secs(seconds.into()));
     let figures = talk
-        .ask("measure show")
+        .ask("measure on")
+        .and_then(|_| talk.wait(Duration::from_secs(seconds.into())))
+        .and_then(|()| talk.ask("measure show"))
         .and_then(|answer| Figures::parse(&answer));
-    talk.ask("measure off")?;
-    figures
+    let is_off = talk.ask_in_any_case("measure off");
+    figures.and_then(|figures| is_off.map(|_| figures))
 }
 
 #[cfg(test)]

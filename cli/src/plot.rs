@@ -15,11 +15,12 @@ use aplomb_recordings::attitude_table::Columns;
 use aplomb_recordings::flight_log;
 use aplomb_recordings::form::header;
 use aplomb_recordings::output::OutputFile;
-use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::terminal::{print_line, print_message};
 
 use crate::progress;
 use crate::read_options::{Kind, ReadOptions};
 use crate::source::Source;
+use crate::usage::Usage;
 use crate::vibration_monitor::VibrationMonitor;
 use figure::Figure;
 use truth::{Table, TruthFile};
@@ -41,7 +42,7 @@ pub struct Options {
     #[command(flatten)]
     reading: ReadOptions,
     /// A file with the true attitudes at the same times: the truth.csv of a flight, or a
-    /// recording with truth
+    /// recording with truth, whose times have the unit of --time-unit too
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// The picture, by its name a PNG or an SVG file
@@ -56,10 +57,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Some("png") => false,
         Some("svg") => true,
         _ => {
-            return Err(format!(
+            return Err(Usage::from(format!(
                 "{}: the name has to end with .png or .svg, which says what to draw",
                 output.display()
-            )
+            ))
             .into());
         }
     };
@@ -88,6 +89,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             Some(columns) => {
                 let has_truth = options.truth.is_some();
                 options.reading.check(Kind::Attitudes { has_truth })?;
+                options.check_time_unit()?;
                 options.figure(&mut Table { lines, columns }, mount)?
             }
             None => {
@@ -109,18 +111,18 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         .into());
     }
     if let Some(path) = options.truth.as_ref().filter(|_| figure.has_two_truths) {
-        eprintln!(
+        print_message(&format!(
             "note: the truth is that of {}, not that of {}",
             path.display(),
             input.display()
-        );
+        ));
     }
     let picture = figure.chart(&name.to_string_lossy()).draw();
     let contents = match is_vector {
         true => picture.svg().into_bytes(),
         false => picture.png(),
     };
-    let mut inputs = vec![input.as_path()];
+    let mut inputs = options.reading.inputs();
     inputs.extend(options.truth.as_deref());
     OutputFile::write(output, &inputs, &contents)?;
     print_line(&format!("{}: {}", output.display(), figure.summary()));
@@ -128,10 +130,22 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 }
 
 impl Options {
+    /// Refuses a unit of times if neither the attitudes nor the truth are a recording.
+    fn check_time_unit(&self) -> Result<(), Box<dyn Error>> {
+        if let Some(path) = self.truth.as_ref()
+            && self.reading.rows().time_unit.is_some()
+            && Columns::of(&header(&mut progress::lines(path)?)?).is_some()
+        {
+            let reason = "--time-unit would change nothing: these are attitudes, in microseconds";
+            return Err(Usage::from(format!("{}: {reason}", path.display())).into());
+        }
+        Ok(())
+    }
+
     /// Reads all rows, with the truth of a sensor with this mount.
     fn figure(&self, source: &mut dyn Source, mount: Mount) -> Result<Figure, Box<dyn Error>> {
         let mut truth = match &self.truth {
-            Some(path) => Some(TruthFile::open(path, mount)?),
+            Some(path) => Some(TruthFile::open(path, mount, self.reading.rows())?),
             None => None,
         };
         let mut source = VibrationMonitor::new(source);

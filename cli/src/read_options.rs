@@ -1,7 +1,7 @@
 //! Options for reading a recording, shared by `replay` and `plot`.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use aplomb::calibration::{Calibration, CompassCorrection, Mount};
 use aplomb::estimator::heading::CompassKnowledge;
@@ -16,9 +16,11 @@ use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::any_pipeline::FilterName;
 use crate::arming::Arming;
+use crate::burst_rows::BurstRows;
 use crate::calibration_file::CalibrationFile;
 use crate::count_options::CountOptions;
 use crate::source::{BurstSource, CompassOptions, FlightSource, LogOptions, LogSource, Source};
+use crate::usage::Usage;
 
 /// Largest delay: no low-pass filter or bus is slower, and no turn lasts longer.
 const LONGEST_DELAY_US: i64 = 1_000_000;
@@ -140,7 +142,7 @@ impl Kind {
                 "--bad-rows",
             ],
             Self::FlightLog => &["--filter", "--flight"],
-            Self::Attitudes { has_truth: true } => &["--mount"],
+            Self::Attitudes { has_truth: true } => &["--mount", "--time-unit"],
             Self::Attitudes { has_truth: false } => &[],
         }
     }
@@ -157,7 +159,7 @@ impl Kind {
 
 impl ReadOptions {
     /// Refuses options that mean nothing for this kind of input.
-    pub fn check(&self, kind: Kind) -> Result<(), String> {
+    pub fn check(&self, kind: Kind) -> Result<(), Usage> {
         let own = [
             ("--filter", self.filter.is_some()),
             ("--mount", self.mount.is_some()),
@@ -184,7 +186,22 @@ impl ReadOptions {
             self.input.display(),
             unused.join(" "),
             kind.reason()
-        ))
+        )
+        .into())
+    }
+
+    /// Returns the files that are read: no output replaces one.
+    pub fn inputs(&self) -> Vec<&Path> {
+        let calibration = self.calibration.as_deref();
+        [self.input.as_path()]
+            .into_iter()
+            .chain(calibration)
+            .collect()
+    }
+
+    /// Returns the unit of times and the other options for rows.
+    pub fn rows(&self) -> &RowOptions {
+        &self.rows
     }
 
     /// Opens a recording or bursts. The header is the next line.
@@ -195,19 +212,21 @@ impl ReadOptions {
         self.check_compass(form)?;
         self.check_armed(form)?;
         let arming = Arming::new(self.armed_from);
-        let (calibration, compass) = self.calibration(form)?;
+        let stated = *lines.stated();
+        let (calibration, compass) = self.calibration(form, stated.accelerometer)?;
         let accelerometer = match calibration.accelerometer {
             Some(_) => None,
-            None => self.accelerometer.or(lines.accelerometer()),
+            None => self.accelerometer.or(stated.accelerometer),
         };
         Ok(match form {
             Form::Bursts => {
                 let mut settings = Settings::new(&Part::MPU_6050);
                 settings.mount = self.mount();
                 settings.sensor_delay_us = self.sensor_delay_us;
-                settings.sensor = self.counts.config();
+                settings.sensor = self.counts.ranges.config(&stated);
                 settings.calibration = calibration;
-                let mut bursts = BurstSource::new(lines, self.filter(), settings);
+                let rows = BurstRows::new(lines, self.rows.bad_rows);
+                let mut bursts = BurstSource::new(rows, self.filter(), settings);
                 bursts.set_arming(arming);
                 if let Some(knowledge) = accelerometer {
                     bursts.set_accelerometer_knowledge(knowledge);
@@ -241,7 +260,7 @@ impl ReadOptions {
     }
 
     /// Refuses the options of a compass where there is none, or for a filter that has none.
-    fn check_compass(&self, form: Form) -> Result<(), String> {
+    fn check_compass(&self, form: Form) -> Result<(), Usage> {
         let mut is_given =
             self.compass.is_some() || self.compass_delay_us.is_some() || self.declination.is_some();
         let reason = match form {
@@ -262,19 +281,38 @@ impl ReadOptions {
             return Err(format!(
                 "{input}: --compass, --compass-delay-us, --declination and --field-unit would \
                  change nothing: {reason}"
-            ));
+            )
+            .into());
         }
         Ok(())
     }
 
     /// Reads the calibration of the options; none is the default. Refuses one that would change
-    /// nothing, or that contradicts another option.
-    fn calibration(&self, form: Form) -> Result<(Calibration, Option<CompassCorrection>), String> {
+    /// nothing, or that contradicts another option or the knowledge that the recording states.
+    fn calibration(
+        &self,
+        form: Form,
+        stated: Option<AccelerometerKnowledge>,
+    ) -> Result<(Calibration, Option<CompassCorrection>), Box<dyn Error>> {
         let Some(path) = &self.calibration else {
             return Ok((Calibration::NONE, None));
         };
         let CalibrationFile { sensors, compass } = CalibrationFile::read(path)?;
-        let refuse = |reason: &str| Err(format!("{}: {reason}", path.display()));
+        let refuse =
+            |reason: &str| Err(Usage::from(format!("{}: {reason}", path.display())).into());
+        // Twelve poses calibrate the gyroscope too, six the accelerometer alone.
+        let is_corrected = match stated {
+            Some(AccelerometerKnowledge::Calibrated) => sensors != Calibration::NONE,
+            Some(AccelerometerKnowledge::SixPoses) => sensors.accelerometer.is_some(),
+            Some(AccelerometerKnowledge::Factory) | None => false,
+        };
+        if is_corrected {
+            return refuse(
+                "the recording states in its first lines that it is calibrated already, and would \
+                 be corrected twice: leave --calibration out, or, if the statement is wrong, write \
+                 `# --accelerometer factory` in its place",
+            );
+        }
         if sensors != Calibration::NONE && self.accelerometer.is_some() {
             return refuse(
                 "it states what is known of the accelerometer: leave --accelerometer out",
@@ -294,7 +332,7 @@ impl ReadOptions {
     }
 
     /// Refuses `--armed-from` where the recording has the state, or the filter has none.
-    fn check_armed(&self, form: Form) -> Result<(), String> {
+    fn check_armed(&self, form: Form) -> Result<(), Usage> {
         let reason = match form {
             _ if self.armed_from.is_none() => return Ok(()),
             _ if self.filter() != FilterName::Kalman => {
@@ -305,14 +343,18 @@ impl ReadOptions {
             }
             Form::Log(_) | Form::Bursts => return Ok(()),
         };
-        Err(format!("{}: {reason}", self.input.display()))
+        Err(format!("{}: {reason}", self.input.display()).into())
     }
 
     /// Opens a flight of a flight log.
-    pub fn open_flight(&self, log: &FlightLog, flight: &Flight) -> Result<FlightSource, String> {
+    pub fn open_flight(
+        &self,
+        log: &FlightLog,
+        flight: &Flight,
+    ) -> Result<FlightSource, Box<dyn Error>> {
         self.check(Kind::FlightLog)?;
-        FlightSource::new(log, flight, self.filter())
-            .map_err(|reason| format!("{}: {reason}", self.input.display()))
+        let source = FlightSource::new(log, flight, self.filter());
+        source.map_err(|reason| format!("{}: {reason}", self.input.display()).into())
     }
 
     /// Returns the mount of the options, or the default.

@@ -7,12 +7,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use aplomb_recordings::output::{cannot_write, check_writable};
+use aplomb_recordings::output::{cannot_write, check_writable, refuse_to_overwrite};
+use aplomb_recordings::terminal::{print_message, print_status};
 
 use crate::end_request::end_request;
 use crate::i2c::I2cOptions;
 use crate::link::{BAUD, LOG_BAUD, Link, Report, which_port};
 use crate::stream::{Decoder, Item, field};
+use crate::usage::Usage;
 
 /// Longest time until the module answers a command.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -76,12 +78,15 @@ fn parse_seconds(text: &str) -> Result<f64, &'static str> {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if options.port.is_none() && options.sensor.i2c.is_none() {
-        return Err(which_port().into());
+        return Err(Usage::from(which_port()).into());
     }
     // A name that is in use is refused before the flight, not after it.
     if options.output == Path::new("-") {
-        return Err("record keeps what it hears in a file: give its name with --output".into());
+        let reason = "record keeps what it hears in a file: give its name with --output";
+        return Err(Usage::from(reason).into());
     }
+    let calibration = options.sensor.calibration.as_deref();
+    refuse_to_overwrite(&options.output, calibration.as_slice())?;
     let was_there = options.output.exists();
     if was_there && !options.force {
         return Err(exists(&options.output).into());
@@ -91,22 +96,11 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Some(port) => Link::port(port, options.baud)?,
         None => Link::sensor(options.sensor.open()?.0),
     };
-    let mut recorder = Recorder {
-        options,
-        // Opened before any command, so that a failure does not change the module.
-        file: open(&options.output, options.force)?,
-        link,
-        decoder: Decoder::default(),
-        bytes: 0,
-        gaps: 0,
-        is_away: false,
-        started: Instant::now(),
-        log: None,
-    };
+    let mut recorder = Recorder::new(options, link)?;
     if options.log {
         recorder.ask_for_log();
     }
-    let result = recorder.run(&ends);
+    let result = recorder.run(ends);
     let summary = recorder.summary();
     let is_back = recorder.leave();
     let (counts, bytes) = (recorder.decoder.counts(), recorder.bytes);
@@ -116,10 +110,10 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         std::fs::remove_file(&options.output).ok();
     }
     if let Err(error) = is_back {
-        eprintln!("warning: {error}");
+        print_message(&format!("warning: {error}"));
     }
     if bytes > 0 {
-        eprintln!("{summary}");
+        print_message(&summary);
     }
     result?;
     let baud = options.baud;
@@ -226,7 +220,22 @@ struct Recorder<'a> {
     log: Option<LogRequest>,
 }
 
-impl Recorder<'_> {
+impl<'a> Recorder<'a> {
+    /// Opens the file. That is before any command, so that a failure does not change the module.
+    fn new(options: &'a Options, link: Link) -> Result<Self, String> {
+        Ok(Self {
+            options,
+            file: open(&options.output, options.force)?,
+            link,
+            decoder: Decoder::default(),
+            bytes: 0,
+            gaps: 0,
+            is_away: false,
+            started: Instant::now(),
+            log: None,
+        })
+    }
+
     fn run(&mut self, ends: &AtomicBool) -> Result<(), String> {
         let is_terminal = io::stderr().is_terminal();
         let period = Duration::from_millis(if is_terminal { 200 } else { 10_000 });
@@ -245,15 +254,14 @@ impl Recorder<'_> {
             if reported.elapsed() >= period && !self.is_away && is_running {
                 reported = Instant::now();
                 if is_terminal {
-                    eprint!("\r\x1b[K{}", self.summary());
-                    io::stderr().flush().ok();
+                    print_status(&format!("\r\x1b[K{}", self.summary()));
                 } else {
-                    eprintln!("{}", self.summary());
+                    print_message(&self.summary());
                 }
             }
         }
         if is_terminal {
-            eprint!("\r\x1b[K");
+            print_status("\r\x1b[K");
         }
         // Bytes until now belong to the recording.
         let ended = Instant::now();
@@ -281,11 +289,15 @@ impl Recorder<'_> {
     fn on_report(&mut self, report: Report) -> Result<(), String> {
         match report {
             Report::Bytes(bytes) => return self.take(bytes),
+            // A sensor that never gave a sample has a wrong wire. A port may be plugged in later.
+            Report::Away(reason) if self.is_sensor() && self.decoder.counts().bursts == 0 => {
+                return Err(reason);
+            }
             Report::Away(reason) => {
                 self.decoder.interrupt();
                 self.gaps += 1;
                 self.is_away = true;
-                eprintln!("\nthe port is gone ({reason}): waiting for it");
+                print_message(&format!("\nthe port is gone ({reason}): waiting for it"));
                 if self.log.as_ref().is_some_and(|log| !log.has_run) {
                     return Err("the port was gone before the flight log had begun".into());
                 }
@@ -293,7 +305,7 @@ impl Recorder<'_> {
             }
             Report::Back => {
                 self.is_away = false;
-                eprintln!("the port is back");
+                print_message("the port is back");
                 self.listen();
             }
             Report::Ended(reason) => return Err(reason),
@@ -301,6 +313,11 @@ impl Recorder<'_> {
             Report::Switched(Err(reason)) => return self.fail(reason),
         }
         Ok(())
+    }
+
+    /// Returns whether a sensor on a bus of this computer is recorded.
+    fn is_sensor(&self) -> bool {
+        self.options.sensor.i2c.is_some()
     }
 
     /// Takes received bytes: into the file, unless they are answers.
@@ -407,7 +424,7 @@ impl Recorder<'_> {
             (log.heard, log.unread) = (Instant::now(), 0);
             log.trouble = None;
             if std::mem::replace(&mut log.has_run, true) {
-                eprintln!("the flight log goes on");
+                print_message("the flight log goes on");
             } else {
                 self.started = Instant::now();
             }
@@ -429,7 +446,9 @@ impl Recorder<'_> {
         match &mut self.log {
             Some(log) if log.has_run => {
                 if log.trouble.replace(reason.clone()).is_none() {
-                    eprintln!("the flight log does not go on yet ({reason}): trying again");
+                    print_message(&format!(
+                        "the flight log does not go on yet ({reason}): trying again"
+                    ));
                 }
                 self.listen();
                 Ok(())
@@ -460,7 +479,9 @@ impl Recorder<'_> {
                 Ok(())
             }
             Stage::Runs if log.heard.elapsed() >= LOG_PATIENCE && log.unread >= UNREAD => {
-                eprintln!("what comes cannot be read any more: asking for the flight log again");
+                print_message(
+                    "what comes cannot be read any more: asking for the flight log again",
+                );
                 self.decoder.interrupt();
                 self.listen();
                 Ok(())
@@ -538,5 +559,53 @@ impl Recorder<'_> {
             write!(text, ", unplugged {} times", self.gaps).ok();
         }
         text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::i2c::Sampled;
+    use aplomb::mpu6050::Burst;
+
+    /// Sensor whose INT pin is not wired.
+    struct Unwired;
+
+    impl Sampled for Unwired {
+        fn step(&mut self) -> Result<Option<Burst>, String> {
+            std::thread::sleep(Duration::from_millis(10));
+            Err("no edge comes on gpiochip0:17".to_owned())
+        }
+
+        fn is_back(&mut self) -> bool {
+            true
+        }
+
+        fn take_bytes(&self) -> Vec<u8> {
+            Vec::new()
+        }
+
+        fn say(&self, _: &str) {}
+    }
+
+    #[test]
+    fn a_sensor_that_gives_no_sample_ends_the_recording() {
+        let output = std::env::temp_dir().join(format!("aplomb-unwired-{}", std::process::id()));
+        let mut sensor = I2cOptions::default();
+        sensor.i2c = Some("/dev/i2c-1".into());
+        let options = Options {
+            port: None,
+            sensor,
+            baud: BAUD,
+            output: output.clone(),
+            seconds: Some(3.0),
+            log: false,
+            force: true,
+        };
+        let link = Link::sensor(Box::new(Unwired));
+        let mut recorder = Recorder::new(&options, link).expect("it opens");
+        let result = recorder.run(&AtomicBool::new(false));
+        std::fs::remove_file(&output).ok();
+        assert_eq!(result, Err("no edge comes on gpiochip0:17".to_owned()));
     }
 }

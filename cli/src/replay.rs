@@ -258,7 +258,7 @@ fn replay(
     let input = &options.reading.input;
     let mut source = VibrationMonitor::new(source);
     let mut output = match &options.output {
-        Some(path) => Some(Attitudes::create(path, input)?),
+        Some(path) => Some(Attitudes::create(path, &options.reading.inputs())?),
         None => None,
     };
     let (mut errors, mut headings) = (Errors::default(), HeadingErrors::default());
@@ -324,8 +324,8 @@ struct Attitudes {
 }
 
 impl Attitudes {
-    fn create(path: &Path, input: &Path) -> Result<Self, String> {
-        let mut file = OutputFile::create(path, &[input])?;
+    fn create(path: &Path, inputs: &[&Path]) -> Result<Self, String> {
+        let mut file = OutputFile::create(path, inputs)?;
         writeln!(file, "{HEADER}").map_err(|error| file.failed(&error))?;
         Ok(Self {
             file,

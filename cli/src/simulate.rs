@@ -20,7 +20,8 @@ use aplomb_recordings::terminal::print_line;
 
 use crate::progress;
 use crate::read_options::compass_knowledge;
-use aplomb_recordings::units::knowledge;
+use crate::usage::Usage;
+use aplomb_recordings::units::{knowledge, knowledge_name};
 
 /// Seed without `--seed`. The filter was tuned on smaller seeds.
 const SEED: u64 = 1_000;
@@ -146,15 +147,6 @@ impl Options {
     }
 }
 
-/// Returns the name that the option `--accelerometer` takes.
-pub const fn name_of(knowledge: AccelerometerKnowledge) -> &'static str {
-    match knowledge {
-        AccelerometerKnowledge::Factory => "factory",
-        AccelerometerKnowledge::SixPoses => "six-poses",
-        AccelerometerKnowledge::Calibrated => "calibrated",
-    }
-}
-
 /// Describes a simulated compass.
 fn describe(magnetism: &Magnetism) -> String {
     let EarthField {
@@ -172,11 +164,11 @@ fn describe(magnetism: &Magnetism) -> String {
 /// Writes the recording.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     if let Some(closest_s) = options.magnet.filter(|at_s| *at_s > options.seconds) {
-        return Err(format!(
+        let reason = format!(
             "--magnet {closest_s} is after the end: the recording takes {} s (--seconds)",
             options.seconds
-        )
-        .into());
+        );
+        return Err(Usage::from(reason).into());
     }
     let mut file = OutputFile::create(&options.output, &[])?;
     let rows = options.seconds * 1_000;
@@ -188,7 +180,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         Some(_) => COMPASS_LOG_HEADER,
         None => LOG_HEADER,
     };
-    let knowledge = name_of(options.accelerometer);
+    let knowledge = knowledge_name(options.accelerometer);
     let mut line = format!("{ACCELEROMETER_COMMENT}{knowledge}\n{header}\n").into_bytes();
     let motion = options.kind.motion(options.seed);
     let errors = errors(options.seed, options.accelerometer);

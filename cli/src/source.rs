@@ -25,11 +25,13 @@ use aplomb_recordings::log::{Lines, LogColumns, Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_bursts, sample_rate_divider, unsigned};
 use aplomb_recordings::score::START_US;
+use aplomb_recordings::terminal::print_message;
 use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::RowOptions;
 
 use crate::any_pipeline::{AnyPipeline, FilterName};
 use crate::arming::Arming;
+use crate::burst_rows::BurstRows;
 use crate::flight_replay::{Agreement, Replay};
 
 /// Attitude at one row, with its truth.
@@ -260,7 +262,7 @@ impl LogSource {
         if !std::mem::replace(&mut self.has_warned, true)
             && let Some(warning) = self.turns.warning()
         {
-            eprintln!("warning: {}: {warning}", self.rows.name());
+            print_message(&format!("warning: {}: {warning}", self.rows.name()));
         }
     }
 }
@@ -336,7 +338,7 @@ impl Source for LogSource {
 
 /// Bursts through the whole pipeline.
 pub struct BurstSource {
-    lines: Lines,
+    rows: BurstRows,
     /// Bursts that were read ahead.
     ahead: VecDeque<TimedBurst>,
     /// Fault after them.
@@ -354,9 +356,9 @@ struct TimedBurst {
 impl BurstSource {
     /// Starts bursts after their header. The first ones show the sensor's sample rate, which is not
     /// taken from the settings.
-    pub fn new(lines: Lines, filter: FilterName, mut settings: Settings) -> Self {
+    pub fn new(rows: BurstRows, filter: FilterName, mut settings: Settings) -> Self {
         let mut source = Self {
-            lines,
+            rows,
             ahead: VecDeque::new(),
             fault: None,
             arming: Arming::default(),
@@ -376,13 +378,11 @@ impl BurstSource {
     }
 
     fn read(&mut self) -> Result<Option<TimedBurst>, Box<dyn Error>> {
-        let Some(line) = self.lines.next_line()? else {
+        let Some(row) = self.rows.next_row()? else {
             return Ok(None);
         };
-        let row =
-            bursts::decode(line).map_err(|reason| format!("{}: {reason}", self.lines.place()))?;
         let t_us = i64::try_from(row.burst.captured_at_us)
-            .map_err(|reason| format!("{}: t_us: {reason}", self.lines.place()))?;
+            .map_err(|reason| format!("{}: t_us: {reason}", self.rows.place()))?;
         Ok(Some(TimedBurst { t_us, row }))
     }
 
@@ -410,7 +410,7 @@ impl Source for BurstSource {
                 None => self.read()?,
             },
         };
-        let refused = |reason| format!("{}: {reason}", self.lines.name());
+        let refused = |reason| format!("{}: {reason}", self.rows.name());
         let Some(TimedBurst { t_us, row }) = next else {
             let ended = self.arming.end();
             ended.map_err(|reason| refused(reason.to_owned()))?;

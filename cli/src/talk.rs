@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use crate::end_request::{ENDED, is_end_asked};
 use crate::link::{Link, Report};
 use crate::stream::{Decoder, Item};
 
@@ -20,6 +21,8 @@ pub struct Talk {
     link: Link,
     decoder: Decoder,
     items: VecDeque<Item>,
+    /// Ctrl-C ends the present wait.
+    heeds_end: bool,
 }
 
 impl Talk {
@@ -29,12 +32,17 @@ impl Talk {
             link: Link::port(port, baud)?,
             decoder: Decoder::default(),
             items: VecDeque::new(),
+            heeds_end: true,
         })
     }
 
-    /// Returns the next piece that comes before this time. A port that is gone is waited for.
+    /// Returns the next piece that comes before this time. A port that is gone is waited for. An
+    /// error is the link's end, or Ctrl-C.
     pub fn next(&mut self, until: Instant) -> Result<Option<Item>, String> {
         loop {
+            if self.heeds_end && is_end_asked() {
+                return Err(ENDED.to_owned());
+            }
             if let Some(item) = self.items.pop_front() {
                 return Ok(Some(item));
             }
@@ -94,6 +102,21 @@ impl Talk {
             "the module does not answer `{command}`: check the port, TX and RX, and the baud rate; \
              leave a binary format with `format text`"
         ))
+    }
+
+    /// Like [`ask`](Self::ask), but after Ctrl-C too: for commands that restore the module.
+    pub fn ask_in_any_case(&mut self, command: &str) -> Result<String, String> {
+        let heeds_end = std::mem::replace(&mut self.heeds_end, false);
+        let answer = self.ask(command);
+        self.heeds_end = heeds_end;
+        answer
+    }
+
+    /// Passes this time. An error is Ctrl-C, or the link's end.
+    pub fn wait(&mut self, duration: Duration) -> Result<(), String> {
+        let until = Instant::now() + duration;
+        while self.next(until)?.is_some() {}
+        Ok(())
     }
 
     /// Sends a command that takes a while. Returns the text of `done`, or of `failed` as the error.

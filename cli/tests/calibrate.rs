@@ -537,3 +537,39 @@ fn without_turns_the_gyroscope_is_not_calibrated_and_the_reason_is_told() {
         "it needs the accelerometer's cross-axis terms: nine poses at least"
     );
 }
+
+#[test]
+fn options_that_would_change_nothing_are_refused() {
+    let input = file("unused", "input.csv", recording(&Pose::GUIDE[..2], 0.0));
+    let input = input.to_str().unwrap();
+    let picture = path("unused", "poses.png");
+    let _ = std::fs::remove_file(&picture);
+    let draw = ["--draw-poses", picture.to_str().unwrap()];
+    let bus = ["--i2c", "/dev/i2c-none"];
+    let of_compass = "--compass-delay-us and --field-unit";
+    for (start, options, name) in [
+        (&[input][..], &["--compass-delay-us", "9"][..], of_compass),
+        (&[input], &["--field-unit", "mG"], of_compass),
+        (&draw, &["--json"], "--json"),
+        (&draw, &RAW, "--raw"),
+        (&draw, &["--bad-rows", "skip"], "--bad-rows"),
+        (&draw, &["--compass-delay-us", "9"], "--compass-delay-us"),
+        (&bus, &RAW, "--raw"),
+        (&bus, &["--rate-unit", "deg/s"], "--rate-unit"),
+        (&bus, &["--sensor-mount", "+y-z"], "--sensor-mount"),
+        (&bus, &["--calibration", "none.json"], "--calibration"),
+    ] {
+        let mut arguments = vec!["calibrate"];
+        arguments.extend(start);
+        if start == [input] {
+            arguments.extend(RAW);
+        }
+        arguments.extend(options);
+        let result = aplomb(&arguments);
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert_eq!(result.status.code(), Some(2), "{arguments:?}: {message}");
+        let reason = format!("error: {name} would change nothing");
+        assert!(message.starts_with(&reason), "{arguments:?}: {message}");
+        assert!(!picture.exists());
+    }
+}

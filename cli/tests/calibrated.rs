@@ -211,3 +211,89 @@ fn a_calibration_that_contradicts_or_changes_nothing_is_refused() {
     let refused = run(&arguments).expect_err("two statements");
     assert!(refused.contains("leave --compass out"), "{refused}");
 }
+
+#[test]
+fn a_calibration_saved_by_an_editor_is_read_or_named() {
+    const TEST: &str = "calibrated-encodings";
+    let input = file(TEST, "log.csv", "t_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n");
+    let input = input.to_str().expect("a path");
+    let json = std::fs::read_to_string(calibration(TEST)).expect("a calibration");
+    let marked = file(TEST, "marked.json", format!("\u{FEFF}{json}"));
+    let marked = marked.to_str().expect("a path");
+    run(&["replay", input, "--calibration", marked]).expect("a replay");
+    let words = "\u{FEFF}".encode_utf16().chain(json.encode_utf16());
+    let wide: Vec<u8> = words.flat_map(u16::to_le_bytes).collect();
+    let wide = file(TEST, "wide.json", wide);
+    let arguments = ["replay", input, "--calibration"];
+    let refused = run(&[&arguments[..], &[wide.to_str().expect("a path")]].concat());
+    let refused = refused.expect_err("UTF-16");
+    assert!(
+        refused.contains("wide.json: it is a UTF-16 text: save it as UTF-8"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_recording_that_is_calibrated_is_not_corrected_twice() {
+    const TEST: &str = "calibrated-twice";
+    let identity = "[[1,0,0],[0,1,0],[0,0,1]]";
+    let gyroscope = format!("{{\"gyroscope\":{{\"matrix\":{identity}}}}}");
+    let gyroscope = file(TEST, "gyroscope.json", gyroscope);
+    let both = calibration(TEST);
+    let picture = path(TEST, "picture.png");
+    let picture = picture.to_str().expect("a path");
+    for (knowledge, calibration, is_taken) in [
+        ("factory", &both, true),
+        ("six-poses", &both, false),
+        ("calibrated", &both, false),
+        ("factory", &gyroscope, true),
+        ("six-poses", &gyroscope, true),
+        ("calibrated", &gyroscope, false),
+    ] {
+        let text =
+            format!("# --accelerometer {knowledge}\nt_us,ax,ay,az,gx,gy,gz\n0,0,0,9.8,0,0,0\n");
+        let input = file(TEST, "log.csv", text);
+        let input = input.to_str().expect("a path");
+        let calibration = calibration.to_str().expect("a path");
+        for command in [
+            &["replay", input][..],
+            &["plot", input, "--output", picture],
+        ] {
+            let result = aplomb(&[command, &["--calibration", calibration]].concat());
+            let message = String::from_utf8_lossy(&result.stderr);
+            let code = if is_taken { 0 } else { 2 };
+            assert_eq!(result.status.code(), Some(code), "{knowledge}: {message}");
+            assert_eq!(
+                message.contains("calibrated already, and would be corrected twice"),
+                !is_taken,
+                "{message}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_compass_matrix_that_gives_no_field_is_refused() {
+    const TEST: &str = "calibrated-singular";
+    let input = file(
+        TEST,
+        "log.csv",
+        "t_us,ax,ay,az,gx,gy,gz,mx,my,mz\n0,0,0,9.8,0,0,0,20,0,-44\n",
+    );
+    for (matrix, is_taken) in [
+        ("[[0,0,0],[0,0,0],[0,0,0]]", false),
+        ("[[1,0,0],[1,0,0],[0,0,1]]", false),
+        ("[[0,-1,0],[1,0,0],[0,0,1]]", true),
+    ] {
+        let json = format!("{{\"compass\":{{\"matrix\":{matrix},\"hard_iron_ut\":[1,2,3]}}}}");
+        let calibration = file(TEST, "compass.json", json);
+        let arguments = ["replay", input.to_str().expect("a path"), "--calibration"];
+        let result = run(&[&arguments[..], &[calibration.to_str().expect("a path")]].concat());
+        match result {
+            Ok(_) => assert!(is_taken, "{matrix}"),
+            Err(message) => {
+                assert!(!is_taken && message.contains("no compass has"), "{message}");
+            }
+        }
+    }
+}

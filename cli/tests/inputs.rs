@@ -27,10 +27,15 @@ fn readers(test: &str) -> Vec<(&'static str, Vec<String>)> {
 
 /// Returns the message of a command that has to fail.
 fn refusal(command: &str, input: &Path, more: &[String]) -> String {
+    ended_with(1, command, input, more)
+}
+
+/// Returns the message of a command that ends with this code.
+fn ended_with(code: i32, command: &str, input: &Path, more: &[String]) -> String {
     let mut arguments = vec![command.to_owned(), input.to_str().unwrap().to_owned()];
     arguments.extend_from_slice(more);
     let result = aplomb(&arguments);
-    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    assert_eq!(result.status.code(), Some(code), "{arguments:?}");
     String::from_utf8(result.stderr).unwrap()
 }
 
@@ -308,7 +313,7 @@ fn every_reader_names_the_unit_of_a_field_and_takes_the_option() {
     let warning = String::from_utf8_lossy(&result.stderr);
     assert!(warning.contains("--field-unit mG"), "{warning}");
     let input = file("field", "none.csv", turned(1.0, 1.0, 1.0));
-    let message = refusal("replay", &input, &["--field-unit".into(), "G".into()]);
+    let message = ended_with(2, "replay", &input, &["--field-unit".into(), "G".into()]);
     assert!(
         message.contains("the recording has no compass"),
         "{message}"
@@ -439,7 +444,7 @@ fn a_tail_of_nul_bytes_is_named_and_the_rows_before_are_read() {
 #[test]
 fn an_option_that_would_change_nothing_is_refused() {
     let bursts = file("nothing", "bursts.csv", "t_us,bytes,flags\n");
-    let message = refusal("replay", &bursts, &["--time-unit".into(), "ms".into()]);
+    let message = ended_with(2, "replay", &bursts, &["--time-unit".into(), "ms".into()]);
     assert!(message.contains("--time-unit"), "{message}");
     let log = file("nothing", "log.csv", turned(1.0, 1.0, 1.0));
     let raw = [
@@ -451,7 +456,7 @@ fn an_option_that_would_change_nothing_is_refused() {
         "--force-unit",
         "g",
     ];
-    let message = refusal("replay", &log, &raw.map(str::to_owned));
+    let message = ended_with(2, "replay", &log, &raw.map(str::to_owned));
     assert!(
         message.contains("--raw gives the values their units"),
         "{message}"
@@ -707,4 +712,187 @@ fn a_long_recording_takes_no_more_memory_than_a_short_one() {
         assert!(printed.contains("300000 rows"), "{printed}");
     }
     std::fs::remove_file(csv).ok();
+}
+
+/// Returns the attitudes of a recording that begins with these bytes, and the messages.
+fn attitudes_of(name: &str, start: &[u8]) -> Result<(Vec<u8>, String), String> {
+    let bytes = [start, turned(1.0, 1.0, 1.0).as_bytes()].concat();
+    let input = file("comments", name, bytes);
+    let output = path("comments", "attitude.csv");
+    let arguments = ["replay".as_ref(), input.as_os_str(), "--output".as_ref()];
+    let result = aplomb(&[&arguments[..], &[output.as_os_str()]].concat());
+    let errors = String::from_utf8(result.stderr).unwrap();
+    match result.status.success() {
+        true => Ok((std::fs::read(output).unwrap(), errors)),
+        false => Err(errors),
+    }
+}
+
+#[test]
+fn a_comment_that_is_meant_as_an_option_counts_or_is_reported() {
+    let (unstated, _) = attitudes_of("unstated.csv", b"").unwrap();
+    let (expected, errors) = attitudes_of("stated.csv", b"# --accelerometer factory\n").unwrap();
+    assert_ne!(unstated, expected);
+    assert_eq!(errors, "");
+    for comment in [
+        &b"\xEF\xBB\xBF# --accelerometer factory\r\n"[..],
+        b"#--accelerometer factory\n",
+        b"#  --accelerometer=factory\n",
+        b"# --Accelerometer factory\n",
+        b"\xEF\xBB\xBF\n# made by hand\n# --accelerometer factory\n",
+    ] {
+        let comment_text = String::from_utf8_lossy(comment);
+        let (found, errors) = attitudes_of("near.csv", comment).unwrap();
+        assert!(found == expected, "{comment_text}");
+        assert_eq!(errors, "", "{comment_text}");
+    }
+    let refused = attitudes_of("wrong.csv", b"# --accelerometer factori\n").unwrap_err();
+    assert!(
+        refused.contains("wrong.csv:1: \"factori\" is no knowledge"),
+        "{refused}"
+    );
+    let refused = attitudes_of("wrong.csv", b"#\n# --accel-range 3\n").unwrap_err();
+    assert!(refused.contains("wrong.csv:2: \"3\": the acc"), "{refused}");
+    let (found, errors) = attitudes_of("unused.csv", b"#--gyroscope calibrated\n").unwrap();
+    assert!(found == unstated);
+    let expected = "unused.csv:1: the comment \"--gyroscope calibrated\" changes nothing: only";
+    assert!(errors.contains(expected), "{errors}");
+    assert_eq!(attitudes_of("dashes.csv", b"# -----\n").unwrap().1, "");
+}
+
+/// Returns bursts of a sensor at rest, one a millisecond, at 2 g and 250 °/s.
+fn bursts_at_rest(count: u32) -> String {
+    let mut text = String::from("t_us,bytes,flags\n");
+    for index in 0..count {
+        let noise = index * 7 % 11 % 5;
+        let t_us = 1_000 * index;
+        let rates = format!("{noise:04x}{noise:04x}{noise:04x}");
+        writeln!(
+            text,
+            "{t_us},00{noise:02x}00{noise:02x}400{noise}f0b0{rates},"
+        )
+        .unwrap();
+    }
+    text
+}
+
+#[test]
+fn cut_bursts_are_used_up_to_the_cut_on_request() {
+    let whole = bursts_at_rest(3_000);
+    let cut = &whole[..whole.len() - 20];
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(whole.as_bytes()).unwrap();
+    let zipped = encoder.finish().unwrap();
+    let half = &zipped[..zipped.len() / 2];
+    let damaged = whole.replacen("\n1000,", "\n1000;", 1);
+    for (name, bytes, advice, warning) in [
+        (
+            "cut-bursts.csv",
+            cut.as_bytes(),
+            "cut-bursts.csv:3001: expected three fields",
+            "1 bad rows are left out",
+        ),
+        (
+            "damaged-bursts.csv",
+            damaged.as_bytes(),
+            "damaged-bursts.csv:3: expected three fields",
+            "1 bad rows are left out",
+        ),
+        (
+            "zipped-bursts.csv",
+            half,
+            "--bad-rows skip uses the rows before the cut",
+            "the rows before the cut are used",
+        ),
+    ] {
+        let input = file("cut-bursts", name, bytes);
+        for (command, more) in [
+            ("replay", vec![]),
+            (
+                "convert",
+                vec![path("cut-bursts", "out.csv").to_str().unwrap().to_owned()],
+            ),
+        ] {
+            let message = refusal(command, &input, &more);
+            assert!(message.contains(advice), "{message}");
+            assert!(message.contains("--bad-rows skip"), "{message}");
+            let mut arguments = vec![command.to_owned(), input.to_str().unwrap().to_owned()];
+            arguments.extend(more);
+            arguments.extend(["--bad-rows".to_owned(), "skip".to_owned()]);
+            let result = aplomb(&arguments);
+            let errors = String::from_utf8(result.stderr).unwrap();
+            assert!(result.status.success(), "{arguments:?}: {errors}");
+            assert!(errors.contains(warning), "{errors}");
+            assert_eq!(errors.lines().count(), 1, "{errors}");
+        }
+    }
+    let input = file("cut-bursts", "whole-bursts.csv", &whole);
+    let result = aplomb(&["replay", input.to_str().unwrap(), "--bad-rows", "keep"]);
+    assert_eq!(result.status.code(), Some(2));
+}
+
+/// Bursts hold counts alone, so their full scales have to come with them.
+#[test]
+fn bursts_keep_their_full_scales_and_their_knowledge() {
+    let stated = "# --accel-range 2\n# --gyro-range 250\n# --accelerometer calibrated\n";
+    let bursts = bursts_at_rest(3_000);
+    let plain = file("scales", "plain-bursts.csv", &bursts);
+    let stating = file("scales", "stating-bursts.csv", format!("{stated}{bursts}"));
+    let run = |arguments: &[&str]| {
+        let result = aplomb(arguments);
+        let errors = String::from_utf8_lossy(&result.stderr);
+        assert!(result.status.success(), "{arguments:?}: {errors}");
+        String::from_utf8(result.stdout).unwrap()
+    };
+    let named = |name: &str| path("scales", name).to_str().unwrap().to_owned();
+    let (plain, stating) = (plain.to_str().unwrap(), stating.to_str().unwrap());
+    let ranges = ["--accel-range", "2", "--gyro-range", "250"];
+    let options = [&ranges[..], &["--accelerometer", "calibrated"]].concat();
+    let replayed = |input: &str, options: &[&str]| {
+        let output = named("attitude.csv");
+        run(&[&["replay", input, "--output", &output], options].concat());
+        std::fs::read_to_string(output).unwrap()
+    };
+    let expected = replayed(plain, &options);
+    assert!(replayed(stating, &[]) == expected);
+    // An option goes before a statement.
+    assert!(replayed(stating, &["--accel-range", "4"]) != expected);
+
+    let csv = named("out.csv");
+    let json = run(&["convert", stating, &csv, "--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        summary["replay_options"],
+        "--sensor-delay-us 1900 --accelerometer calibrated"
+    );
+    let table = std::fs::read_to_string(&csv).unwrap();
+    let row = "# --accelerometer calibrated\nt_us,ax,ay,az,gx,gy,gz\n0,0,0,9.80665";
+    assert!(table.starts_with(row), "{}", &table[..200]);
+    run(&[&["convert", plain, &csv][..], &ranges].concat());
+    let table = std::fs::read_to_string(&csv).unwrap();
+    assert!(table.contains("\n0,0,0,9.80665,"), "{}", &table[..200]);
+
+    // Through a flight log and back, with its knowledge in the filter's states.
+    let (log, again) = (named("out.log"), named("again-bursts.csv"));
+    run(&["convert", stating, &log]);
+    let attitudes = replayed(&log, &[]);
+    assert_eq!(attitudes.lines().last(), expected.lines().last());
+    run(&["convert", &log, &again]);
+    let text = std::fs::read_to_string(&again).unwrap();
+    assert_eq!(
+        text,
+        format!("# --accel-range 2\n# --gyro-range 250\n{bursts}")
+    );
+    for (input, output) in [(&log, &again), (&csv, &again)] {
+        let result = aplomb(&[&["convert", input.as_str(), output][..], &ranges].concat());
+        let message = String::from_utf8_lossy(&result.stderr);
+        assert_eq!(result.status.code(), Some(2), "{message}");
+        assert!(message.contains("--accel-range would change nothing"));
+    }
+    // A recording in SI units passes its statement on.
+    let text = format!("# --accelerometer calibrated\n{}", turned(1.0, 1.0, 1.0));
+    let input = file("scales", "stated.csv", text);
+    run(&["convert", input.to_str().unwrap(), &again]);
+    let text = std::fs::read_to_string(&again).unwrap();
+    assert!(text.starts_with("# --accelerometer calibrated\nt_us,bytes,flags\n"));
 }

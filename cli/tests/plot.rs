@@ -17,8 +17,12 @@ fn run(arguments: &[&str]) -> String {
 }
 
 fn refused(arguments: &[&str], reason: &str) {
+    ended_with(1, arguments, reason);
+}
+
+fn ended_with(code: i32, arguments: &[&str], reason: &str) {
     let result = aplomb(arguments);
-    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    assert_eq!(result.status.code(), Some(code), "{arguments:?}");
     let errors = String::from_utf8_lossy(&result.stderr);
     assert!(errors.contains(reason), "{errors}");
 }
@@ -302,7 +306,8 @@ fn bursts_and_flight_logs_are_drawn_too() {
 fn what_cannot_be_drawn_is_refused() {
     let log = simulate("refused", "flight.csv", &["--seconds", "1"]);
     let plot = ["plot", text(&log), "--output"];
-    refused(
+    ended_with(
+        2,
         &[&plot[..], &["picture.jpg"]].concat(),
         "has to end with .png or .svg",
     );
@@ -378,4 +383,44 @@ fn a_magnet_after_the_end_is_refused() {
         let errors = String::from_utf8(result.stderr).unwrap();
         assert_eq!(errors.contains("is after the end"), is_refused, "{errors}");
     }
+}
+
+/// The unit of times is that of the recording, whether it is the input or its truth.
+#[test]
+fn a_truth_has_the_unit_of_times_of_the_recording() {
+    let log = simulate("time-unit", "flight.csv", &["--seconds", "12"]);
+    let attitudes = path("time-unit", "attitude.csv");
+    run(&["replay", text(&log), "--output", text(&attitudes)]);
+    let microseconds = std::fs::read_to_string(&log).unwrap();
+    let in_ms = microseconds.lines().fold(String::new(), |mut rows, row| {
+        match row.split_once(',') {
+            Some((t_us, rest)) if t_us.ends_with("000") => {
+                rows += &format!("{},{rest}\n", &t_us[..t_us.len() - 3]);
+            }
+            Some(("0", rest)) => rows += &format!("0,{rest}\n"),
+            _ => rows += &format!("{row}\n"),
+        }
+        rows
+    });
+    let slow = file("time-unit", "slow.csv", in_ms);
+    let picture = path("time-unit", "picture.svg");
+    let output = ["--output", text(&picture)];
+    let error_of = |printed: &str| {
+        let (_, error) = printed.split_once("inclination error").unwrap();
+        error.split_once(';').unwrap().0.to_owned()
+    };
+    let plot =
+        |input: &Path, more: &[&str]| run(&[&["plot", text(input)][..], &output, more].concat());
+    let expected = error_of(&plot(&log, &["--truth", text(&log)]));
+    let in_ms = ["--truth", text(&slow), "--time-unit", "ms"];
+    assert_eq!(error_of(&plot(&slow, &in_ms)), expected);
+    assert_eq!(error_of(&plot(&attitudes, &in_ms)), expected);
+    let arguments = ["plot", text(&attitudes), "--truth", text(&attitudes)];
+    let result = aplomb(&[&arguments[..], &["--time-unit", "ms"]].concat());
+    let message = String::from_utf8_lossy(&result.stderr);
+    assert_eq!(result.status.code(), Some(2), "{message}");
+    assert!(
+        message.contains("--time-unit would change nothing"),
+        "{message}"
+    );
 }

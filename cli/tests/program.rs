@@ -16,8 +16,17 @@ use common::{aplomb, file, path};
 
 /// Returns the message of a command that has to fail.
 fn refusal(arguments: &[&str]) -> String {
+    ended_with(1, arguments)
+}
+
+/// Returns the message of a command that is used wrongly.
+fn wrong_usage(arguments: &[&str]) -> String {
+    ended_with(2, arguments)
+}
+
+fn ended_with(code: i32, arguments: &[&str]) -> String {
     let result = aplomb(arguments);
-    assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+    assert_eq!(result.status.code(), Some(code), "{arguments:?}");
     String::from_utf8(result.stderr).unwrap()
 }
 
@@ -183,7 +192,7 @@ fn every_command_has_examples_in_its_help() {
 fn wrong_usage_and_failures_have_the_documented_exit_codes() {
     let help = String::from_utf8(aplomb(&["--help"]).stdout).unwrap();
     assert!(help.contains(
-        "Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage."
+        "Exit codes: 0 fine, 1 failed (the reason is on standard error), 2 wrong usage, such as"
     ));
     for (arguments, code) in [
         (&[][..], 2),
@@ -193,6 +202,31 @@ fn wrong_usage_and_failures_have_the_documented_exit_codes() {
         (&["calibrate"], 2),
         (&["simulate", "--output", "x.csv", "--seconds", "0"], 2),
         (&["completions", "none"], 2),
+        (&["convert", "x.csv", "x.txt"], 2),
+        (&["plot", "x.csv", "--output", "x.jpg"], 2),
+        (&["view", "x.log", "--picture", "x.jpg"], 2),
+        (&["record", "--output", "x.log"], 2),
+        (&["record", "--port", "/dev/none", "--output", "-"], 2),
+        (&["measure"], 2),
+        (&["bring-up"], 2),
+        (&["view"], 2),
+        (
+            &[
+                "simulate",
+                "--output",
+                "x.csv",
+                "--compass",
+                "factory",
+                "--magnet",
+                "99",
+            ],
+            2,
+        ),
+        (&["calibrate", "--draw-poses", "x.png", "--json"], 2),
+        (
+            &["calibrate", "--i2c", "/dev/none", "--bad-rows", "skip"],
+            2,
+        ),
         (&["replay", "/no/such.csv"], 1),
         (&["plot", "/no/such.csv"], 1),
         (&["convert", "/no/such.csv", "x.csv"], 1),
@@ -337,13 +371,13 @@ fn a_form_is_not_converted_into_itself() {
     ] {
         let output = path("same", output);
         let _ = std::fs::remove_file(&output);
-        let message = refusal(&["convert", input, output.to_str().unwrap()]);
+        let message = wrong_usage(&["convert", input, output.to_str().unwrap()]);
         let reason = format!("it is {form} already: copy it");
         assert!(message.contains(&reason), "{message}");
         assert!(!output.exists());
     }
     let output = named("same", "other.csv");
-    let message = refusal(&["convert", &csv, &output, "--force-unit", "g"]);
+    let message = wrong_usage(&["convert", &csv, &output, "--force-unit", "g"]);
     assert!(
         message.contains("take --force-unit themselves"),
         "{message}"
@@ -380,15 +414,16 @@ fn what_a_flight_log_says_and_a_table_does_not_is_told() {
         printed.contains("replay it with --mount +x+z --sensor-delay-us 1900 --accel"),
         "{printed}"
     );
-    for (option, reason) in [
-        (["--mount", "z-up"], "--mount would change nothing"),
-        (["--flight", "2"], "1 to 1"),
-        (["--flight", "0"], "1 to 1"),
-    ] {
+    let message = wrong_usage(&["convert", &log, &csv, "--mount", "z-up"]);
+    assert!(
+        message.contains("--mount would change nothing"),
+        "{message}"
+    );
+    for (option, reason) in [(["--flight", "2"], "1 to 1"), (["--flight", "0"], "1 to 1")] {
         let message = refusal(&[&["convert", &log, &csv][..], &option].concat());
         assert!(message.contains(reason), "{message}");
     }
-    let message = refusal(&["convert", &bursts, &csv, "--flight", "1"]);
+    let message = wrong_usage(&["convert", &bursts, &csv, "--flight", "1"]);
     assert!(
         message.contains("--flight would change nothing"),
         "{message}"
@@ -450,7 +485,7 @@ fn a_flight_log_takes_no_options_that_it_answers_itself() {
             &["replay", log.as_str()][..],
             &["plot", &log, "--output", &picture],
         ] {
-            let message = refusal(&[command, options].concat());
+            let message = wrong_usage(&[command, options].concat());
             let reason = format!("{} ", options[0]);
             assert!(
                 message.contains(&reason) && message.contains("would change nothing"),
@@ -479,12 +514,12 @@ fn a_flight_log_takes_no_options_that_it_answers_itself() {
     run(&["replay", &log, "--output", &attitudes]);
     let plot = ["plot", &attitudes, "--output", &picture];
     for option in [["--mount", "z-up"], ["--filter", "classic"]] {
-        let message = refusal(&[&plot[..], &option].concat());
+        let message = wrong_usage(&[&plot[..], &option].concat());
         assert!(message.contains("would change nothing"), "{message}");
     }
     let truth = named("answered", "flight.csv");
     run(&[&plot[..], &["--truth", &truth, "--mount", "z-up"]].concat());
-    let message = refusal(&["replay", &truth, "--flight", "1"]);
+    let message = wrong_usage(&["replay", &truth, "--flight", "1"]);
     assert!(
         message.contains("--flight would change nothing"),
         "{message}"
@@ -627,8 +662,80 @@ fn a_bus_that_cannot_be_used_is_named_with_what_helps() {
     ] {
         let message = refusal(&[&["record", "--output", output][..], &arguments].concat());
         assert!(message.contains(reason), "{message}");
-        let message = refusal(&[&["calibrate"][..], &arguments].concat());
-        assert!(message.contains(reason), "{message}");
+        if !arguments.contains(&"--calibration") {
+            let message = refusal(&[&["calibrate"][..], &arguments].concat());
+            assert!(message.contains(reason), "{message}");
+        }
     }
     assert!(!std::path::Path::new(output).exists());
+}
+
+/// The shell opens the file for standard input before the program could replace it.
+#[cfg(unix)]
+#[test]
+fn no_output_replaces_a_file_that_is_read() {
+    let recording = named("inputs", "recording.csv");
+    run(&["simulate", "--seconds", "2", "--output", &recording]);
+    let identity = "[[1,0,0],[0,1,0],[0,0,1]]";
+    let json = format!("{{\"offset_m_s2\":[0,0,0],\"matrix\":{identity}}}");
+    let calibration = file("inputs", "calibration.svg", &json);
+    let calibration = calibration.to_str().unwrap();
+    let before = std::fs::read(&recording).unwrap();
+    let replay = ["replay", &recording, "--calibration", calibration];
+    let plot = ["plot", &recording, "--calibration", calibration];
+    let record = ["record", "--i2c", "/dev/none", "--force"];
+    let record = [&record[..], &["--calibration", calibration]].concat();
+    for command in [&replay[..], &plot, &record] {
+        let message = refusal(&[command, &["--output", calibration]].concat());
+        let reason = format!("would replace the input {calibration}: choose another name");
+        assert!(message.contains(&reason), "{message}");
+        assert_eq!(std::fs::read_to_string(calibration).unwrap(), json);
+    }
+    let named_as_picture = named("inputs", "recording.svg");
+    std::fs::copy(&recording, &named_as_picture).unwrap();
+    for (command, input) in [
+        (&["replay", "-", "--output"][..], &recording),
+        (&["plot", "-", "--output"], &named_as_picture),
+        (&["convert", "-"], &named("inputs", "copied-bursts.csv")),
+    ] {
+        if command[0] == "convert" {
+            std::fs::copy(&recording, input).unwrap();
+        }
+        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+            .args(command)
+            .arg(input)
+            .stdin(std::fs::File::open(input).unwrap())
+            .output()
+            .unwrap();
+        let message = String::from_utf8(result.stderr).unwrap();
+        assert_eq!(result.status.code(), Some(1), "{command:?}: {message}");
+        let reason = "would replace the input on standard input";
+        assert!(message.contains(reason), "{command:?}: {message}");
+        assert_eq!(std::fs::read(input).unwrap(), before, "{command:?}");
+    }
+    // A device may be both.
+    let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["replay", "-", "--output", "/dev/null"])
+        .stdin(std::fs::File::open("/dev/null").unwrap())
+        .output()
+        .unwrap();
+    let message = String::from_utf8(result.stderr).unwrap();
+    assert!(message.contains("the file is empty"), "{message}");
+}
+
+#[test]
+fn a_recording_without_rows_is_not_converted() {
+    for (name, header, output) in [
+        ("log.csv", "t_us,ax,ay,az,gx,gy,gz\n", "out.log"),
+        ("log.csv", "t_us,ax,ay,az,gx,gy,gz\n", "out-bursts.csv"),
+        ("bursts.csv", "t_us,bytes,flags\n", "out.csv"),
+    ] {
+        let input = file("rowless", name, header);
+        let output = path("rowless", output);
+        let _ = std::fs::remove_file(&output);
+        let arguments = [input.to_str().unwrap(), output.to_str().unwrap()];
+        let message = refusal(&[&["convert"][..], &arguments].concat());
+        assert!(message.contains("no row after the header"), "{message}");
+        assert!(!output.exists());
+    }
 }

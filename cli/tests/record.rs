@@ -1,5 +1,5 @@
-//! `aplomb record` and `aplomb view` from the outside, with a module at the end of a
-//! pseudo-terminal.
+//! `aplomb record`, `view`, `measure` and `bring-up` from the outside, with a module at the end of
+//! a pseudo-terminal.
 
 #![cfg(unix)]
 
@@ -162,6 +162,36 @@ fn signal(child: &Child, name: &str) {
     assert!(told.is_ok_and(|status| status.success()));
 }
 
+/// Standard error is that terminal, as in a window that is closed.
+#[test]
+fn a_terminal_that_is_closed_ends_no_recording_and_leaves_the_module_as_it_was() {
+    let mut plug = Plug::new("record-closed");
+    let mut terminal = Plug::new("record-closed-terminal");
+    let output = path("record", "closed.log");
+    let errors = std::fs::File::options().write(true).open(terminal.name());
+    let mut child = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(["record", "--port", plug.name(), "--log", "--force"])
+        .arg("--output")
+        .arg(&output)
+        .stderr(errors.expect("it opens"))
+        .spawn()
+        .expect("the program runs");
+    answer_until_log(&mut plug);
+    plug.send(&burst(1));
+    wait_for_length(&output, burst(1).len());
+    terminal.unplug();
+    // It reports its progress five times a second.
+    sleep(Duration::from_millis(600));
+    plug.send(&burst(2));
+    wait_for_length(&output, burst(1).len() + burst(2).len());
+    signal(&child, "-HUP");
+    assert_eq!(plug.hear().as_deref(), Some("format text"));
+    assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
+    plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
+    assert_eq!(plug.hear().as_deref(), Some("status"));
+    assert_eq!(child.wait().expect("it ends").code(), Some(0));
+}
+
 #[test]
 fn a_log_goes_on_after_a_replug_with_and_without_a_loss_of_power() {
     let mut plug = Plug::new("record-log-replug");
@@ -291,35 +321,44 @@ fn a_silent_module_and_one_at_another_rate_are_said_to_be_so() {
 fn what_cannot_be_done_is_refused_with_what_to_do() {
     let there = file("record", "there.log", "precious");
     let name = there.to_str().expect("a name");
-    for (arguments, reason) in [
-        (&["record", "--output", "x"][..], "which port?"),
+    for (arguments, code, reason) in [
+        (&["record", "--output", "x"][..], 2, "which port?"),
         (
             &["record", "--port", "/dev/none", "--output", name],
+            1,
             "--force to replace it",
         ),
         (
             &["record", "--port", "/dev/none", "--output", "x"],
+            1,
             "there is no such port",
         ),
-        (&["view"], "which port?"),
+        (&["view"], 2, "which port?"),
         (
             &["record", "--port", "/dev/null", "--output", "x"],
+            1,
             "/dev/null: it is no serial port. ",
         ),
         (
             &["view", "--virtual"],
+            1,
             "needs a terminal; `cargo xtask fly`",
         ),
         (
             &["view", name, "--picture", "x.png"],
+            1,
             "there is no attitude in it",
         ),
-        (&["view", name], "--picture FILE.png"),
-        (&["view", "src", "--picture", "x.png"], "src is a folder"),
-        (&["view", name, "--picture", name], "has to end with .png"),
+        (&["view", name], 1, "--picture FILE.png"),
+        (&["view", "src", "--picture", "x.png"], 1, "src is a folder"),
+        (
+            &["view", name, "--picture", name],
+            2,
+            "has to end with .png",
+        ),
     ] {
         let result = aplomb(arguments);
-        assert_eq!(result.status.code(), Some(1), "{arguments:?}");
+        assert_eq!(result.status.code(), Some(code), "{arguments:?}");
         assert!(errors(&result).contains(reason), "{}", errors(&result));
     }
     for arguments in [
@@ -366,4 +405,105 @@ fn a_picture_of_a_recording_is_drawn() {
     // The header's width and height: 110 × 32 letters with a margin.
     assert_eq!(bytes[16..24], [0, 0, 4, 96, 0, 0, 2, 148]);
     assert!(bytes.len() < 300_000, "{}", bytes.len());
+}
+
+const STATUS: &[u8] = b"# ok status: flags=VALID sensor=MPU-6050@0x68 mount=default \
+    temperature_c=25.0 unsaved=no\n";
+
+fn start(arguments: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_aplomb"))
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program runs")
+}
+
+/// Returns the output of a program that ends within five seconds.
+fn end(mut child: Child) -> Output {
+    let start = Instant::now();
+    while child.try_wait().expect("it is ours").is_none() {
+        if start.elapsed() > Duration::from_secs(5) {
+            child.kill().expect("it is ours");
+            panic!("it does not end: {:?}", child.wait_with_output());
+        }
+        sleep(Duration::from_millis(20));
+    }
+    child.wait_with_output().expect("it has ended")
+}
+
+#[test]
+fn ctrl_c_ends_a_measurement_in_the_module_too() {
+    let mut plug = Plug::new("measure-ended");
+    let child = start(&["measure", "--port", plug.name(), "--seconds", "600"]);
+    assert_eq!(plug.hear().as_deref(), Some("status"));
+    plug.send(STATUS);
+    assert_eq!(plug.hear().as_deref(), Some("measure on"));
+    plug.send(b"# ok measure on\n");
+    sleep(Duration::from_millis(300));
+    signal(&child, "-INT");
+    assert_eq!(plug.hear().as_deref(), Some("measure off"));
+    plug.send(b"# ok measure off\n");
+    let output = end(child);
+    assert_eq!(output.status.code(), Some(1), "{}", errors(&output));
+    assert!(errors(&output).contains("it was ended with Ctrl-C"));
+}
+
+/// Recording the noise catches Ctrl-C, also for the steps after it.
+#[test]
+fn ctrl_c_ends_a_bring_up_in_each_step_and_keeps_the_report() {
+    let skipped = "port bus identity registers edges self-test temperature power";
+    let skipped: Vec<&str> = skipped
+        .split(' ')
+        .flat_map(|step| ["--skip", step])
+        .collect();
+    let mut plug = Plug::new("bring-up-ended");
+    let report = path("record", "ended.md");
+    let [port, name] = [plug.name(), report.to_str().expect("a name")].map(str::to_owned);
+    let arguments = [
+        "bring-up", "--port", &port, "--output", &name, "--rest", "4",
+    ];
+    let child = start(&[&arguments[..], &skipped].concat());
+    answer_until_log(&mut plug);
+    for (command, answer) in [
+        ("format text", ""),
+        (
+            "baud 115200",
+            "# ok baud 115200 from now on; say something at 115200\n",
+        ),
+        ("status", ""),
+        ("calibrate accel", "# ok calibrate accel: lay it down\n"),
+    ] {
+        assert_eq!(plug.hear().as_deref(), Some(command));
+        plug.send(answer.as_bytes());
+    }
+    sleep(Duration::from_millis(300));
+    signal(&child, "-INT");
+    assert_eq!(plug.hear().as_deref(), Some("calibrate stop"));
+    plug.send(b"# ok calibrate stop\n");
+    let output = end(child);
+    assert_eq!(output.status.code(), Some(1));
+    let text = std::fs::read_to_string(report).expect("a report");
+    let poses = text.lines().find(|line| line.starts_with("| six poses |"));
+    let poses = poses.expect("a row");
+    assert!(
+        poses.contains("| skipped |") && poses.contains("Ctrl-C"),
+        "{text}"
+    );
+    assert!(!text.contains("turns by hand"), "{text}");
+}
+
+#[test]
+fn a_report_that_cannot_be_written_is_refused_before_the_first_step() {
+    let plug = Plug::new("bring-up-refused");
+    for (name, code, reason) in [
+        ("none/report.md", 1, "there is no folder none"),
+        ("report.log", 2, "choose another ending"),
+    ] {
+        let arguments = ["bring-up", "--port", plug.name(), "--output", name];
+        let output = end(start(&arguments));
+        assert_eq!(output.status.code(), Some(code), "{}", errors(&output));
+        assert!(errors(&output).contains(reason), "{}", errors(&output));
+        assert!(output.stdout.is_empty());
+    }
 }

@@ -43,6 +43,11 @@ struct View {
 
 impl View {
     fn start(arguments: &[&str]) -> Self {
+        Self::start_with(arguments, false)
+    }
+
+    /// Starts it with its errors on the terminal too, or else in a pipe.
+    fn start_with(arguments: &[&str], has_errors: bool) -> Self {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let terminal = openpt(flags).expect("a pseudo-terminal");
         grantpt(&terminal).expect("it can be granted");
@@ -68,7 +73,10 @@ impl View {
             .args(arguments)
             .stdin(open())
             .stdout(open())
-            .stderr(Stdio::piped())
+            .stderr(match has_errors {
+                true => Stdio::from(open()),
+                false => Stdio::piped(),
+            })
             .spawn()
             .expect("the program runs");
         let terminal = Arc::new(File::from(terminal));
@@ -159,8 +167,9 @@ impl View {
             sleep(Duration::from_millis(20));
         }
         let mut errors = String::new();
-        let mut stderr = self.child.stderr.take().expect("it was asked for");
-        stderr.read_to_string(&mut errors).expect("it is text");
+        if let Some(mut stderr) = self.child.stderr.take() {
+            stderr.read_to_string(&mut errors).expect("it is text");
+        }
         (self.child.wait().expect("it is ours").code(), errors)
     }
 }
@@ -261,9 +270,9 @@ fn messages(text: Option<&str>) -> Vec<u8> {
 
 #[test]
 fn a_signal_or_the_terminals_end_brings_the_terminal_and_the_module_back() {
-    for name in ["-TERM", "-HUP"] {
-        let mut plug = Plug::new(&format!("view{name}"));
-        let mut view = View::start(&["--port", plug.name()]);
+    for (name, has_errors) in [("-TERM", false), ("-HUP", false), ("-HUP", true)] {
+        let mut plug = Plug::new(&format!("view{name}-{has_errors}"));
+        let mut view = View::start_with(&["--port", plug.name()], has_errors);
         send(&mut plug, 1.0);
         view.wait_for("VALID");
         // The format after MAVLink is the log.

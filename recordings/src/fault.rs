@@ -117,6 +117,9 @@ pub enum LogFault {
         quote(.0)
     )]
     Knowledge(String),
+    /// A comment states a full scale that no sensor has.
+    #[error("{0}; or remove the comment")]
+    Statement(String),
     /// The last row ends in the middle of a number.
     #[error(
         "the last row ends in the middle of a number: it has no line end, and fewer decimals than \
@@ -260,6 +263,7 @@ impl LogFault {
             | Self::NoTable { .. }
             | Self::Header(_)
             | Self::Knowledge(_)
+            | Self::Statement(_)
             | Self::Unit(_)
             | Self::Milliseconds { .. }
             | Self::TooShort => false,

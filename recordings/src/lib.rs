@@ -51,6 +51,7 @@ mod rows;
 pub mod score;
 pub mod simulated;
 pub mod simulated_compass;
+mod statement;
 mod still_rates;
 pub mod terminal;
 pub mod text;

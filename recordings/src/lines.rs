@@ -11,14 +11,13 @@ use crate::columns::Order;
 use crate::fault::{LONGEST_LINE, LogError, LogFault};
 use crate::foreign::{GZIP, format_of};
 use crate::quote::quote;
+use crate::statement::Statements;
+use crate::terminal::print_message;
 
 /// Byte order mark: U+FEFF in UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// Most NUL bytes that are passed over within a line: file systems reserve no more for a logger.
 const MOST_NULS: usize = 1 << 30;
-/// Start of a comment before the header that states the knowledge of the accelerometer, as the
-/// option of this name does.
-pub const ACCELEROMETER_COMMENT: &str = "# --accelerometer ";
 /// Fewest numbers that show how many decimals the last cell of a line has.
 const FEWEST_NUMBERS: usize = 8;
 /// Most lines of text before a flight log, after which it is not searched on.
@@ -47,8 +46,8 @@ pub struct Lines {
     number: u64,
     /// Order of the columns, if it is not that of a log, and the last line in that of a log.
     order: Option<(Order, String)>,
-    /// Knowledge of the accelerometer that a comment states.
-    accelerometer: Option<AccelerometerKnowledge>,
+    /// Statements of the comments.
+    stated: Statements,
     /// Warnings and notes, if they are collected.
     notices: Option<Vec<String>>,
 }
@@ -113,7 +112,7 @@ impl Lines {
             least_decimals: usize::MAX,
             number: 0,
             order: None,
-            accelerometer: None,
+            stated: Statements::default(),
             notices: None,
         })
     }
@@ -135,7 +134,7 @@ impl Lines {
     pub(crate) fn notify(&mut self, kind: &str, text: String) {
         match &mut self.notices {
             Some(notices) => notices.push(text),
-            None => eprintln!("{kind}: {text}"),
+            None => print_message(&format!("{kind}: {text}")),
         }
     }
 
@@ -163,12 +162,7 @@ impl Lines {
                 return Err(self.refuse(LogFault::CutNumber));
             }
         }
-        // Some programs begin a text with the byte order mark, which is invisible.
-        let line = match self.line.strip_prefix(BYTE_ORDER_MARK) {
-            Some(rest) if self.number == 1 => rest,
-            _ => &self.line,
-        };
-        let Ok(line) = std::str::from_utf8(line) else {
+        let Ok(line) = std::str::from_utf8(&self.line) else {
             return Err(self.refuse(LogFault::NotText));
         };
         let Some((order, arranged)) = &mut self.order else {
@@ -191,15 +185,21 @@ impl Lines {
         self.order = Some((order, String::new()));
     }
 
-    /// Takes the last line, which is a comment. If it states the knowledge of the accelerometer,
-    /// keeps that.
+    /// Takes the last line, which is a comment, and keeps what it states. Warns of an option that
+    /// no comment can state.
     pub(crate) fn take_comment(&mut self) -> Result<(), LogError> {
+        let mut stated = self.stated;
         let comment = str::from_utf8(&self.line).unwrap_or_default();
-        if let Some(name) = comment.strip_prefix(ACCELEROMETER_COMMENT) {
-            let name = name.trim();
-            let known = AccelerometerKnowledge::from_name(name);
-            let unknown = || self.refuse(LogFault::Knowledge(name.to_owned()));
-            self.accelerometer = Some(known.ok_or_else(unknown)?);
+        let taken = stated.take(comment);
+        let unused = taken.map_err(|fault| self.refuse(fault))?;
+        self.stated = stated;
+        if let Some(option) = unused {
+            let (place, option) = (self.place(), quote(&option));
+            let text = format!(
+                "{place}: the comment \"{option}\" changes nothing: only --accelerometer, \
+                 --accel-range and --gyro-range can be stated in a comment"
+            );
+            self.notify("warning", text);
         }
         Ok(())
     }
@@ -207,7 +207,13 @@ impl Lines {
     /// Returns the knowledge of the accelerometer that a comment before the header states.
     #[must_use]
     pub fn accelerometer(&self) -> Option<AccelerometerKnowledge> {
-        self.accelerometer
+        self.stated.accelerometer
+    }
+
+    /// Returns all that the comments before the header state.
+    #[must_use]
+    pub fn stated(&self) -> &Statements {
+        &self.stated
     }
 
     /// Returns whether the last line is that of a text, whatever its encoding.
@@ -283,6 +289,10 @@ impl Lines {
         }
         if self.line.ends_with(b"\r") {
             self.line.pop();
+        }
+        // Some programs begin a text with the byte order mark, which is invisible.
+        if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
+            self.line.drain(..BYTE_ORDER_MARK.len());
         }
         Ok(!is_end)
     }

@@ -16,9 +16,10 @@
 //! the state, which begins disarmed, as it is.
 //!
 //! Lines that begin with `#` before the header, and blank lines, are no rows. The line
-//! `# --accelerometer factory` (or another knowledge) stands for the option. [`Rows`] reads row by
-//! row, in any unit, and refuses what no sensor measures; [`Log::read`] reads a whole log with it.
-//! [`parse_row`] checks the form alone: numbers may have any value.
+//! `# --accelerometer factory` (or another knowledge) stands for the option. So do, for bursts,
+//! `# --accel-range 2` and `# --gyro-range 250`. [`Rows`] reads row by row, in any unit, and
+//! refuses what no sensor measures; [`Log::read`] reads a whole log with it. [`parse_row`] checks
+//! the form alone: numbers may have any value.
 
 use std::path::Path;
 
@@ -26,9 +27,10 @@ use aplomb::estimator::kalman::AccelerometerKnowledge;
 
 pub use crate::fault::{LogError, LogFault, UnitGuess};
 use crate::form::header;
-pub use crate::lines::{ACCELEROMETER_COMMENT, Lines};
+pub use crate::lines::Lines;
 pub use crate::row::{LogColumns, Row, parse_row};
-pub use crate::rows::Rows;
+pub use crate::rows::{Rows, parse_row_in};
+pub use crate::statement::{ACCELEROMETER_COMMENT, Statements};
 use crate::units::{BadRows, RowOptions};
 
 /// Whole log, of at least two rows.

@@ -13,6 +13,8 @@ use flate2::write::GzEncoder;
 
 /// Name of an output that is standard output.
 const STANDARD_OUTPUT: &str = "-";
+/// Name of an input that is standard input.
+const STANDARD_INPUT: &str = "-";
 /// Links in a row that are followed; Linux follows 40.
 const MOST_LINKS: usize = 64;
 /// Exit code after Ctrl-C, by the custom of shells: 128 and the signal's number.
@@ -47,12 +49,7 @@ impl OutputFile {
     ///
     /// Returns a message with the path if the file cannot be created, or is an input.
     pub fn create(path: &Path, inputs: &[&Path]) -> Result<Self, String> {
-        if inputs.iter().any(|input| is_same_file(path, input)) {
-            return Err(format!(
-                "{}: the output would replace the input",
-                path.display()
-            ));
-        }
+        refuse_to_overwrite(path, inputs)?;
         let failed = |error: io::Error| cannot_write(path, &error);
         if path == Path::new(STANDARD_OUTPUT) {
             crate::terminal::use_standard_error();
@@ -252,6 +249,52 @@ pub fn check_writable(path: &Path) -> io::Result<()> {
             "the file is read-only",
         )),
         _ => Ok(()),
+    }
+}
+
+/// Refuses an output that is one of these inputs. An input `-` is standard input: it is the output
+/// if it comes from that file.
+///
+/// # Errors
+///
+/// Returns a message with both names.
+pub fn refuse_to_overwrite(output: &Path, inputs: &[&Path]) -> Result<(), String> {
+    let is_standard = |input: &Path| input == Path::new(STANDARD_INPUT);
+    let is_output = |input: &Path| match is_standard(input) {
+        true => is_standard_input(output),
+        false => is_same_file(output, input),
+    };
+    let Some(input) = inputs.iter().find(|input| is_output(input)) else {
+        return Ok(());
+    };
+    let input = match is_standard(input) {
+        true => "on standard input".to_owned(),
+        false => input.display().to_string(),
+    };
+    let output = output.display();
+    Err(format!(
+        "{output}: the output would replace the input {input}: choose another name"
+    ))
+}
+
+/// Returns whether standard input comes from this file.
+fn is_standard_input(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::fd::AsFd as _;
+        use std::os::unix::fs::MetadataExt as _;
+        let input = io::stdin().as_fd().try_clone_to_owned();
+        let input = input.and_then(|input| File::from(input).metadata()).ok();
+        let files = input.zip(path.metadata().ok());
+        // A device may be both, such as /dev/null.
+        files.is_some_and(|(input, output)| {
+            input.is_file() && (input.dev(), input.ino()) == (output.dev(), output.ino())
+        })
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
     }
 }
 

@@ -205,7 +205,7 @@ impl Rows {
         let skips = self.rule() == BadRows::Skip;
         loop {
             let error = match self.lines.next_line() {
-                Ok(Some(line)) => match parse(line, self.columns, &self.options) {
+                Ok(Some(line)) => match parse_row_in(line, self.columns, &self.options) {
                     Ok(row) => return Ok(Some((self.lines.number(), self.count_on(row)))),
                     Err(fault) => self.lines.refuse(fault),
                 },
@@ -267,7 +267,7 @@ impl Rows {
             let Ok(Some(line)) = self.lines.next_line() else {
                 return self.judge.has_row() && self.ahead.is_empty();
             };
-            if let Ok(mut row) = parse(line, self.columns, &self.options) {
+            if let Ok(mut row) = parse_row_in(line, self.columns, &self.options) {
                 if let Some(wraps) = &mut wraps {
                     row.time_us = wraps.count(row.time_us).0;
                 }
@@ -290,8 +290,17 @@ impl Rows {
     }
 }
 
-/// Reads a row in the units of these options.
-fn parse(line: &str, columns: LogColumns, options: &RowOptions) -> Result<Row, LogFault> {
+/// Reads a row in the units of these options. Checks its form alone, like
+/// [`parse_row`](crate::row::parse_row).
+///
+/// # Errors
+///
+/// Returns the fault of the first cell that is wrong.
+pub fn parse_row_in(
+    line: &str,
+    columns: LogColumns,
+    options: &RowOptions,
+) -> Result<Row, LogFault> {
     let time = |cell: &str| options.time_us(cell);
     let mut row = parse_row_with(line, columns, time, options.field_ut())?;
     options.convert(&mut row);

@@ -1,6 +1,7 @@
-//! Standard output of the programs.
+//! Standard output and standard error of the programs.
 //!
-//! If a program writes its output file there, its messages go to standard error.
+//! If a program writes its output file to standard output, its messages go to standard error. A
+//! terminal that is closed, or a reader that has ended, stops no program: the message is lost.
 
 use std::io::{self, ErrorKind, Write};
 use std::sync::OnceLock;
@@ -16,8 +17,7 @@ static LOST: OnceLock<io::Error> = OnceLock::new();
 /// [`finish`].
 pub fn print_line(text: &str) {
     if IS_TAKEN.load(Ordering::Relaxed) {
-        eprintln!("{text}");
-        return;
+        return print_message(text);
     }
     let mut output = io::stdout();
     if let Err(error) = writeln!(output, "{text}").and_then(|()| output.flush())
@@ -25,6 +25,20 @@ pub fn print_line(text: &str) {
     {
         LOST.get_or_init(|| error);
     }
+}
+
+/// Prints a line on standard error. If that is closed, the line is lost: `eprintln!` would panic.
+pub fn print_message(text: &str) {
+    print_status(&format!("{text}\n"));
+}
+
+/// Prints a text on standard error as it is, such as a line that the next one replaces.
+pub fn print_status(text: &str) {
+    let mut output = io::stderr();
+    output
+        .write_all(text.as_bytes())
+        .and_then(|()| output.flush())
+        .ok();
 }
 
 /// Prints to standard error from now on, because standard output is an output file.

@@ -269,6 +269,16 @@ impl FromStr for BadRows {
     }
 }
 
+/// Returns the name of the knowledge, as the option `--accelerometer` takes it.
+#[must_use]
+pub const fn knowledge_name(knowledge: AccelerometerKnowledge) -> &'static str {
+    match knowledge {
+        AccelerometerKnowledge::Factory => "factory",
+        AccelerometerKnowledge::SixPoses => "six-poses",
+        AccelerometerKnowledge::Calibrated => "calibrated",
+    }
+}
+
 /// Returns the knowledge of an accelerometer's offset of this name, for an option.
 ///
 /// # Errors

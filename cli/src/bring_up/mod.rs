@@ -9,15 +9,19 @@ mod report;
 mod wiring;
 
 use std::error::Error;
+use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use aplomb_recordings::output::OutputFile;
 use aplomb_recordings::terminal::print_line;
 
+use crate::end_request::{ENDED, end_request};
 use crate::link::{BAUD, which_port};
 use crate::record;
 use crate::talk::Talk;
+use crate::usage::Usage;
 use report::{Finding, Report, Verdict};
 
 /// Walk through the first board: bus, sensor, INT pin, self-test, noise, poses, signs, storage.
@@ -29,7 +33,8 @@ use report::{Finding, Report, Verdict};
   aplomb bring-up --port /dev/ttyUSB0
   aplomb bring-up --port /dev/ttyUSB0 --skip poses --skip turns --skip power
 
-Exit code: 0 if no step is bad, 1 if one is.")]
+Exit code: 0 if no step is bad, 1 if one is. Ctrl-C ends it with code 1; the report then has the
+steps before.")]
 pub struct Options {
     /// The module's serial port; without one the ports of this computer are listed
     #[arg(long)]
@@ -114,7 +119,12 @@ impl Step {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
-    let port = options.port.as_ref().ok_or_else(which_port)?;
+    let port = options.port.as_ref();
+    let port = port.ok_or_else(|| Usage::from(which_port()))?;
+    options.check_output()?;
+    let ends = end_request()?;
+    // Before the steps, which take minutes: a name that cannot be written is refused at once.
+    let mut file = OutputFile::create(&options.output, &[])?;
     let mut talk = Some(Talk::open(port, options.baud)?);
     let (mut report, mut picture) = (Report::default(), None);
     let mut blocked_by = None;
@@ -144,17 +154,42 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         if matches!(step, Step::Port | Step::Bus) && finding.verdict == Verdict::Bad {
             blocked_by = Some(name);
         }
+        if ends.load(Ordering::Relaxed) {
+            report.add(name, expected, Finding::skipped(ENDED));
+            break;
+        }
         report.add(name, expected, finding);
     }
     let picture = picture
         .as_deref()
         .and_then(Path::file_name)
         .and_then(|name| name.to_str());
-    OutputFile::write(&options.output, &[], report.markdown(picture).as_bytes())?;
+    let written = file.write_all(report.markdown(picture).as_bytes());
+    written.map_err(|error| file.failed(&error))?;
+    file.finish()?;
     print_line(&format!("the report is in {}", options.output.display()));
+    if ends.load(Ordering::Relaxed) {
+        return Err(ENDED.into());
+    }
     match report.count(Verdict::Bad) {
         0 => Ok(()),
         bad => Err(format!("{bad} of {} steps are bad", Step::ALL.len()).into()),
+    }
+}
+
+impl Options {
+    /// Refuses a name of the report that its picture or its flight log would get too.
+    fn check_output(&self) -> Result<(), Usage> {
+        let ending = self.output.extension().unwrap_or_default();
+        if ending == "png" || ending == "log" {
+            let output = self.output.display();
+            return Err(format!(
+                "{output}: the report's picture and flight log end with .png and .log: choose \
+                 another ending, such as .md"
+            )
+            .into());
+        }
+        Ok(())
     }
 }
 

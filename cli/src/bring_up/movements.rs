@@ -22,11 +22,13 @@ const LEVEL_DEG: f32 = 12.0;
 
 /// Measures six poses against gravity.
 pub fn poses(talk: &mut Talk, patience: Duration) -> Result<Finding, String> {
-    let ended = talk.perform("calibrate accel", patience, show)?;
-    let text = match ended {
-        Ok(text) => text,
-        Err(reason) => {
-            talk.ask("calibrate stop")?;
+    let text = match talk.perform("calibrate accel", patience, show) {
+        Ok(Ok(text)) => text,
+        stopped => {
+            // Otherwise the module would measure on.
+            let is_stopped = talk.ask_in_any_case("calibrate stop");
+            let reason = stopped?.err().unwrap_or_default();
+            is_stopped?;
             return Ok(Finding::skipped(reason));
         }
     };

@@ -6,8 +6,10 @@ use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, RawSample};
 use aplomb::telemetry::bursts;
 use aplomb::units::{DEGREES_PER_RADIAN, STANDARD_GRAVITY_M_S2};
 use aplomb_recordings::counts::counts;
-use aplomb_recordings::log::{Lines, Row, Rows};
+use aplomb_recordings::log::{Row, Rows};
 use aplomb_recordings::plateau::Plateaus;
+
+use crate::burst_rows::BurstRows;
 
 /// Sample of a recording.
 pub struct Sample {
@@ -19,14 +21,12 @@ pub struct Sample {
     pub field_ut: Option<[f64; 3]>,
 }
 
-/// Returns the samples of bursts, after their header.
-pub fn read_bursts(lines: &mut Lines) -> Result<Vec<Sample>, Box<dyn Error>> {
+/// Returns the samples of bursts.
+pub fn read_bursts(mut rows: BurstRows) -> Result<Vec<Sample>, String> {
     let mut samples = Vec::new();
-    while let Some(line) = lines.next_line()? {
-        let bursts::Row { burst, .. } =
-            bursts::decode(line).map_err(|reason| format!("{}: {reason}", lines.place()))?;
+    while let Some(bursts::Row { burst, .. }) = rows.next_row()? {
         let t_us = i64::try_from(burst.captured_at_us)
-            .map_err(|reason| format!("{}: t_us: {reason}", lines.place()))?;
+            .map_err(|reason| format!("{}: t_us: {reason}", rows.place()))?;
         let raw = RawSample::decode(&burst.bytes);
         samples.push(Sample {
             t_us,

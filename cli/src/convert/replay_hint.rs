@@ -3,12 +3,12 @@
 use aplomb::calibration::Mount;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
-use aplomb::mpu6050::Part;
+use aplomb::mpu6050::{Config, Part};
 use aplomb::pipeline::{CompassReading, Settings};
 use aplomb::units::degrees;
+use aplomb_recordings::units::knowledge_name;
 
 use super::Kind;
-use crate::simulate::name_of;
 
 /// Settings with which the bursts of the input have to be replayed.
 pub(super) struct Replayed {
@@ -31,11 +31,13 @@ impl Replayed {
         }
     }
 
-    /// Returns the settings of bursts. A comment before them may state the knowledge.
-    pub(super) fn of_bursts(stated: Option<AccelerometerKnowledge>) -> Self {
+    /// Returns the settings of bursts with this configuration and this knowledge.
+    pub(super) fn of_bursts(config: Config, knowledge: AccelerometerKnowledge) -> Self {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        settings.sensor = config;
         Self {
-            settings: Settings::new(&Part::MPU_6050),
-            knowledge: stated.unwrap_or(AccelerometerKnowledge::Factory),
+            settings,
+            knowledge,
             is_flight: false,
         }
     }
@@ -45,11 +47,6 @@ impl Replayed {
         self.is_flight.then(|| self.settings.mount())
     }
 
-    /// Returns the name of the knowledge.
-    pub(super) const fn knowledge(&self) -> &'static str {
-        name_of(self.knowledge)
-    }
-
     /// Returns the delay of the samples, µs.
     fn delay_us(&self) -> u32 {
         let Settings { part, sensor, .. } = &self.settings;
@@ -57,16 +54,15 @@ impl Replayed {
         self.settings.sensor_delay_us.unwrap_or(part_us)
     }
 
-    /// Returns the lines that name every option for an output of this kind, and what no option
-    /// restores. A flight log needs none.
-    pub(super) fn lines(&self, into: Kind, readings: &mut Readings) -> Vec<String> {
+    /// Returns the options to replay an output of this kind with. A flight log needs none.
+    pub(super) fn options(&self, into: Kind, readings: &mut Readings) -> Option<String> {
         let mut options = String::new();
         if let Some(mount) = self.mount() {
             options += &format!(" --mount {}", mount.name());
         }
         let sensor = &self.settings.sensor;
         match into {
-            Kind::FlightLog => return Vec::new(),
+            Kind::FlightLog => return None,
             Kind::Bursts => {
                 options += &format!(
                     " --accel-range {} --gyro-range {}",
@@ -75,13 +71,18 @@ impl Replayed {
             }
             Kind::Csv => {}
         }
-        let (delay_us, knowledge) = (self.delay_us(), self.knowledge());
+        let (delay_us, knowledge) = (self.delay_us(), knowledge_name(self.knowledge));
         options += &format!(" --sensor-delay-us {delay_us} --accelerometer {knowledge}");
-        let has_compass = into == Kind::Csv && readings.count > 0;
-        if has_compass {
+        if into == Kind::Csv && readings.count > 0 {
             options += &readings.options();
         }
-        let mut lines = vec![format!("replay it with{options}")];
+        Some(options.trim_start().to_owned())
+    }
+
+    /// Returns the lines that name these options, and what no option restores.
+    pub(super) fn lines(&self, into: Kind, options: &str, readings: &Readings) -> Vec<String> {
+        let has_compass = into == Kind::Csv && readings.count > 0;
+        let mut lines = vec![format!("replay it with {options}")];
         if self.is_flight {
             lines.extend(self.calibration(has_compass));
         }

@@ -3,11 +3,12 @@
 use std::io::Write;
 
 use aplomb::attitude::{BodyVector, Vector3};
-use aplomb::mpu6050::RawSample;
+use aplomb::estimator::kalman::AccelerometerKnowledge;
+use aplomb::mpu6050::{Config, RawSample};
 use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 use aplomb_recordings::flight_log::Recorder;
-use aplomb_recordings::log::ACCELEROMETER_COMMENT;
+use aplomb_recordings::log::Statements;
 use aplomb_recordings::number;
 use aplomb_recordings::output::OutputFile;
 
@@ -21,7 +22,30 @@ pub(super) struct Target {
     /// The armed state is written too.
     pub(super) has_armed: bool,
     /// Knowledge of accelerometer and gyroscope, if it is known.
-    pub(super) knowledge: Option<&'static str>,
+    pub(super) knowledge: Option<AccelerometerKnowledge>,
+}
+
+impl Target {
+    /// Returns the knowledge, if it is not that of counts without a statement.
+    fn uncommon_knowledge(&self) -> Option<AccelerometerKnowledge> {
+        self.knowledge
+            .filter(|knowledge| *knowledge != AccelerometerKnowledge::Factory)
+    }
+
+    /// Returns what a table of bursts has to state: all that is not the default.
+    fn statements(&self) -> Statements {
+        let Config {
+            accelerometer_range: force,
+            gyroscope_range: rate,
+            ..
+        } = self.settings.sensor;
+        let default = Config::DEFAULT;
+        Statements {
+            accelerometer: self.uncommon_knowledge(),
+            accelerometer_range: (force != default.accelerometer_range).then_some(force),
+            gyroscope_range: (rate != default.gyroscope_range).then_some(rate),
+        }
+    }
 }
 
 /// Latest time in a flight log, µs: its bursts have 48 bits, which are almost nine years.
@@ -32,7 +56,12 @@ pub(super) fn write_log(
     target: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
-    let mut recorder = Recorder::new(file, Pipeline::new(&target.settings), 0);
+    let mut pipeline = Pipeline::new(&target.settings);
+    // The log's states of the filter hold it.
+    if let Some(knowledge) = target.uncommon_knowledge() {
+        pipeline.set_accelerometer_knowledge(knowledge);
+    }
+    let mut recorder = Recorder::new(file, pipeline, 0);
     for Recorded { row, .. } in bursts {
         let t_us = row.burst.captured_at_us;
         if t_us > LATEST_LOGGED_US {
@@ -49,10 +78,11 @@ pub(super) fn write_log(
 
 pub(super) fn write_bursts(
     file: &mut OutputFile,
-    _: &Target,
+    target: &Target,
     bursts: &mut dyn Iterator<Item = Recorded>,
 ) -> std::io::Result<()> {
-    writeln!(file, "{}", bursts::HEADER)?;
+    let comments = target.statements().comments();
+    writeln!(file, "{comments}{}", bursts::HEADER)?;
     for Recorded { row, .. } in bursts {
         writeln!(file, "{row}")?;
     }
@@ -67,10 +97,15 @@ pub(super) fn write_csv(
     let (settings, has_compass) = (&target.settings, target.has_compass);
     let field_columns = if has_compass { ",mx,my,mz" } else { "" };
     let armed_column = if target.has_armed { ",armed" } else { "" };
-    if let Some(knowledge) = target.knowledge {
-        writeln!(file, "{ACCELEROMETER_COMMENT}{knowledge}")?;
-    }
-    writeln!(file, "t_us,ax,ay,az,gx,gy,gz{field_columns}{armed_column}")?;
+    let stated = Statements {
+        accelerometer: target.knowledge,
+        ..Statements::default()
+    };
+    let comments = stated.comments();
+    writeln!(
+        file,
+        "{comments}t_us,ax,ay,az,gx,gy,gz{field_columns}{armed_column}"
+    )?;
     let mut line = Vec::new();
     for Recorded { row, reading, .. } in bursts {
         let raw = RawSample::decode(&row.burst.bytes);

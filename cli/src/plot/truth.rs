@@ -10,8 +10,9 @@ use aplomb_models::motion;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::attitude_table::Columns;
 use aplomb_recordings::form::header;
-use aplomb_recordings::log::{Lines, LogColumns, LogFault, parse_row};
+use aplomb_recordings::log::{Lines, LogColumns, LogFault, parse_row_in};
 use aplomb_recordings::motion::body_to_earth;
+use aplomb_recordings::units::RowOptions;
 
 use crate::progress;
 use crate::source::{Point, Source};
@@ -81,9 +82,10 @@ pub struct TruthFile {
 }
 
 impl TruthFile {
-    /// Opens a table of attitudes, or a recording with truth of a sensor with this mount.
-    pub fn open(path: &Path, mount: Mount) -> Result<Self, Box<dyn Error>> {
-        let mount = modelled(mount)?;
+    /// Opens a table of attitudes, or a recording with truth of a sensor with this mount. The times
+    /// of a recording have the unit of these options.
+    pub fn open(path: &Path, mount: Mount, options: &RowOptions) -> Result<Self, Box<dyn Error>> {
+        let (mount, options) = (modelled(mount)?, *options);
         let mut lines = progress::lines(path)?;
         let header = header(&mut lines)?;
         let mut file = if let Some(columns) = Columns::of(&header) {
@@ -105,7 +107,8 @@ impl TruthFile {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);
                 };
-                let row = parse_row(line, columns).map_err(|fault| lines.refuse(fault))?;
+                let row =
+                    parse_row_in(line, columns, &options).map_err(|fault| lines.refuse(fault))?;
                 Ok(Some(TrueRow {
                     t_us: row.time_us,
                     attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),

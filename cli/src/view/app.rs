@@ -11,6 +11,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 
 use aplomb::settings::OutputFormat;
+use aplomb_recordings::terminal::print_message;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyEventKind};
 
@@ -268,12 +269,12 @@ impl Drop for App {
     /// Restores the module's format and baud rate, however the program ends.
     fn drop(&mut self) {
         if let Some((name, bytes)) = &self.model.recording {
-            eprintln!("recorded {bytes} bytes to {name}");
+            print_message(&format!("recorded {bytes} bytes to {name}"));
         }
         if let Input::Live(live) = &self.input
             && let Err(error) = live.restore()
         {
-            eprintln!("error: {error}");
+            print_message(&format!("error: {error}"));
         }
     }
 }

@@ -16,17 +16,20 @@ mod tests;
 
 use std::error::Error;
 use std::io::{self, IsTerminal};
+use std::mem::ManuallyDrop;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use aplomb_recordings::output::OutputFile;
-use aplomb_recordings::terminal::print_line;
+use aplomb_recordings::terminal::{print_line, print_message};
+use ratatui::DefaultTerminal;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
 use crate::end_request::end_request;
 use crate::i2c::I2cOptions;
 use crate::link::which_port;
+use crate::usage::Usage;
 use app::{App, FRAME, Origin};
 use model::{Connection, Model, Speaker};
 use player::{Player, SPEEDS};
@@ -146,7 +149,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let has_source = options.port.is_some() || options.sensor.i2c.is_some();
     if options.file.is_none() && !has_source && !options.virtual_board {
         let hint = "Without a board: `cargo xtask view` shows the virtual one";
-        return Err(format!("{}\n{hint}", which_port()).into());
+        return Err(Usage::from(format!("{}\n{hint}", which_port())).into());
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
         let instead = if options.file.is_some() {
@@ -162,9 +165,20 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
     let mut app = App::new(options.origin()?)?;
     // The hook also restores the terminal before a panic is reported.
     let mut terminal = ratatui::try_init()?;
-    let result = app.run(&mut terminal, &ends);
-    ratatui::restore();
+    let result = app.run(&mut terminal, ends);
+    restore(terminal);
     result
+}
+
+/// Restores the terminal, which may be gone. Functions of the library that print an error would
+/// then panic, before the module is restored.
+fn restore(mut terminal: DefaultTerminal) {
+    let is_gone = terminal.show_cursor().is_err();
+    // Nothing is left to be restored on a terminal that is gone.
+    ratatui::try_restore().ok();
+    if is_gone {
+        let _never_dropped = ManuallyDrop::new(terminal);
+    }
 }
 
 /// Returns the command for the virtual board beside this program, with the firmware that `cargo
@@ -192,9 +206,8 @@ fn virtual_board(elf: Option<&Path>) -> Result<Command, String> {
 fn draw_picture(file: &Path, at_s: f64, picture: &Path) -> Result<(), Box<dyn Error>> {
     if picture.extension().is_none_or(|ending| ending != "png") {
         let picture = picture.display();
-        return Err(
-            format!("{picture}: the name has to end with .png, which is what is drawn").into(),
-        );
+        let reason = format!("{picture}: the name has to end with .png, which is what is drawn");
+        return Err(Usage::from(reason).into());
     }
     let mut player = Player::open(file)?;
     let name = file.file_name().unwrap_or_default().display().to_string();
@@ -211,7 +224,7 @@ fn draw_picture(file: &Path, at_s: f64, picture: &Path) -> Result<(), Box<dyn Er
         }
         model.tick(player.position_s(), player.format(), player.counts());
         if let Some(error) = player.take_error() {
-            eprintln!("{error}");
+            print_message(&error);
             model.add_message(player.position_s(), Speaker::Program, error);
         }
     }

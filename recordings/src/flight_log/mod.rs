@@ -21,6 +21,7 @@ use aplomb::telemetry::log::{Configuration, Counts, Frame, NumberedBurst, StateP
 
 use crate::foreign::{GZIP, format_of};
 use crate::lines::is_text;
+use crate::terminal::print_message;
 use steps::Frames;
 
 /// Bytes at a file's start in which [`is_flight_log`] searches a frame.
@@ -243,10 +244,10 @@ pub fn read(path: &Path) -> Result<FlightLog, String> {
     let name = path.to_owned();
     let (log, error) = FlightLog::scan(Box::new(move || open(&name)), open(path)?).map_err(at)?;
     if let Some(error) = &error {
-        eprintln!(
+        print_message(&format!(
             "warning: {}: cut off or damaged ({error}): this is what came before",
             path.display()
-        );
+        ));
     }
     if log.flown().next().is_none() {
         return Err(at(format!(
