@@ -308,7 +308,7 @@ fn gains_are_scanned_on_recordings_with_truth() {
     let result = bench(&["--scan-gains".as_ref(), path("bench-scan", "").as_os_str()]);
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(result.status.success());
-    assert_eq!(printed.matches("<- in use").count(), 5, "{printed}");
+    assert_eq!(printed.matches("<- in use").count(), 4, "{printed}");
     for search in ["--scan-gains", "--leave-one-out"] {
         let empty = path("bench-empty", "");
         let nothing = bench(&[search.as_ref(), empty.as_os_str()]);

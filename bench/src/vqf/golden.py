@@ -1,0 +1,79 @@
+"""Writes golden.csv: VQF of its authors on the signal of tests.rs.
+
+pip install vqf==2.1.2 numpy; python golden.py > golden.csv
+"""
+
+import numpy as np
+from vqf import VQF
+
+FIELD_RATE_HZ = 100
+SECONDS = 100
+NOTED_S = 5
+CASES = [(200, (0.5, -0.7, 0.3)), (1000, (0.5, -0.7, 0.3)), (1000, (4.0, -3.0, 1.0))]
+DISTURBANCE_UT = (15.0, -10.0, 8.0)
+
+
+def envelope(t):
+    """Strength of the motion and its derivative: rest, motion, rest, motion."""
+    for start, end in ((6.0, 30.0), (36.0, 110.0)):
+        if start <= t < end:
+            omega = np.pi / 6.0
+            if t < start + 3.0:
+                phase = omega * (t - start)
+            elif t >= end - 3.0:
+                phase = omega * (end - t)
+                omega = -omega
+            else:
+                return 1.0, 0.0
+            return np.sin(phase) ** 2, omega * np.sin(2.0 * phase)
+    return 0.0, 0.0
+
+
+def angle(t, offset, size, frequency):
+    strength, growth = envelope(t)
+    sine, cosine = np.sin(frequency * t), np.cos(frequency * t)
+    return (offset + size * strength * sine,
+            size * (growth * sine + strength * frequency * cosine))
+
+
+def signal(t, bias_deg_s):
+    """Rate in rad/s, specific force in m/s² and field in µT, in sensor axes."""
+    roll, roll_rate = angle(t, 0.3, 0.9, 1.3)
+    pitch, pitch_rate = angle(t, -0.2, 0.6, 1.7)
+    yaw, yaw_rate = angle(t, 0.7, 1.5, 0.7)
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    sy, cy = np.sin(yaw), np.cos(yaw)
+    rate = np.array([roll_rate - yaw_rate * sp,
+                     pitch_rate * cr + yaw_rate * cp * sr,
+                     yaw_rate * cp * cr - pitch_rate * sr]) + np.radians(bias_deg_s)
+    to_earth = np.array([[cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                         [-sp, cp * sr, cp * cr]])
+    strength, _ = envelope(t)
+    force = np.array([3.0 * strength * np.sin(2.1 * t),
+                      2.0 * strength * np.sin(1.9 * t + 1.0),
+                      9.81 + strength * np.sin(2.7 * t)])
+    field = np.array([1.0, 20.0, -44.0])
+    if 22.0 <= t < 26.0 or t >= 50.0:
+        field = field + DISTURBANCE_UT
+    return rate, to_earth.T @ force, to_earth.T @ field
+
+
+def main():
+    print("rate_hz,t_s,w6,x6,y6,z6,w9,x9,y9,z9,bias_x_rad_s,bias_y_rad_s,bias_z_rad_s")
+    for rate_hz, bias_deg_s in CASES:
+        filter = VQF(1.0 / rate_hz, 1.0 / rate_hz, 1.0 / FIELD_RATE_HZ)
+        for index in range(1, SECONDS * rate_hz + 1):
+            rate, force, field = signal(index / rate_hz, bias_deg_s)
+            filter.updateGyr(rate)
+            filter.updateAcc(force)
+            if index % (rate_hz // FIELD_RATE_HZ) == 0:
+                filter.updateMag(field)
+            if index % (NOTED_S * rate_hz) == 0:
+                row = [*filter.getQuat6D(), *filter.getQuat9D(), *filter.getBiasEstimate()[0]]
+                numbers = ",".join(f"{number:.12f}" for number in row)
+                print(f"{rate_hz},{index // rate_hz},{numbers}")
+
+
+if __name__ == "__main__":
+    main()

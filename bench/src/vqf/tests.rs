@@ -1,0 +1,131 @@
+//! VQF against the package of its authors, on a signal from formulas.
+//!
+//! `golden.csv` holds the attitudes and biases of the package `vqf` 2.1.2 of PyPI. `golden.py`
+//! beside it writes the file, and has the same formulas as this file. The signal rests, turns,
+//! accelerates, rests and moves again, with a bias below or above VQF's limit. A magnetic
+//! disturbance passes, and another one stays until it becomes the reference.
+
+use aplomb_models::motion::geometry::{Quaternion, Vector, add, norm, subtract};
+
+use super::{FORCE_S, Vqf};
+
+const GOLDEN: &str = include_str!("golden.csv");
+const FIELD_RATE_HZ: u32 = 100;
+const SECONDS: u32 = 100;
+const NOTED_S: u32 = 5;
+/// Rate of the samples in Hz, and bias in °/s.
+const CASES: [(u32, Vector); 3] = [
+    (200, [0.5, -0.7, 0.3]),
+    (1_000, [0.5, -0.7, 0.3]),
+    (1_000, [4.0, -3.0, 1.0]),
+];
+const DISTURBANCE_UT: Vector = [15.0, -10.0, 8.0];
+/// Largest difference of an attitude's component: rounding alone.
+const ATTITUDE_TOLERANCE: f64 = 1e-9;
+const BIAS_TOLERANCE_RAD_S: f64 = 1e-10;
+
+/// Returns the strength of the motion and its derivative, 1/s.
+fn envelope(t_s: f64) -> (f64, f64) {
+    let omega = std::f64::consts::PI / 6.0;
+    let (start_s, end_s) = if t_s < 33.0 {
+        (6.0, 30.0)
+    } else {
+        (36.0, 110.0)
+    };
+    if t_s < start_s || t_s >= end_s {
+        (0.0, 0.0)
+    } else if t_s < start_s + 3.0 {
+        let phase = omega * (t_s - start_s);
+        (phase.sin().powi(2), omega * (2.0 * phase).sin())
+    } else if t_s >= end_s - 3.0 {
+        let phase = omega * (end_s - t_s);
+        (phase.sin().powi(2), -omega * (2.0 * phase).sin())
+    } else {
+        (1.0, 0.0)
+    }
+}
+
+/// Returns an Euler angle, rad, and its derivative, rad/s.
+fn angle(t_s: f64, offset: f64, size: f64, frequency: f64) -> (f64, f64) {
+    let (strength, growth) = envelope(t_s);
+    let (sine, cosine) = (frequency * t_s).sin_cos();
+    let rate = size * (growth * sine + strength * frequency * cosine);
+    (offset + size * strength * sine, rate)
+}
+
+/// Returns rate, rad/s, specific force, m/s², and field, µT, in sensor axes.
+fn signal(t_s: f64, bias_deg_s: Vector) -> [Vector; 3] {
+    let (roll, roll_rate) = angle(t_s, 0.3, 0.9, 1.3);
+    let (pitch, pitch_rate) = angle(t_s, -0.2, 0.6, 1.7);
+    let (yaw, yaw_rate) = angle(t_s, 0.7, 1.5, 0.7);
+    let rate = [
+        roll_rate - yaw_rate * pitch.sin(),
+        pitch_rate * roll.cos() + yaw_rate * pitch.cos() * roll.sin(),
+        yaw_rate * pitch.cos() * roll.cos() - pitch_rate * roll.sin(),
+    ];
+    let (strength, _) = envelope(t_s);
+    let force = [
+        3.0 * strength * (2.1 * t_s).sin(),
+        2.0 * strength * (1.9 * t_s + 1.0).sin(),
+        9.81 + strength * (2.7 * t_s).sin(),
+    ];
+    let mut field = [1.0, 20.0, -44.0];
+    if (22.0..26.0).contains(&t_s) || t_s >= 50.0 {
+        field = add(field, DISTURBANCE_UT);
+    }
+    let to_sensor = Quaternion::from_euler(roll, pitch, yaw).conjugate();
+    let rate = add(rate, bias_deg_s.map(f64::to_radians));
+    [rate, to_sensor.rotate(force), to_sensor.rotate(field)]
+}
+
+/// Returns the larger distance of a component, of two quaternions with one sign.
+fn distance(found: Quaternion, expected: &[f64]) -> f64 {
+    let found = [found.w, found.x, found.y, found.z];
+    let with_sign = |sign: f64| {
+        let pairs = found.iter().zip(expected);
+        pairs.fold(0.0_f64, |largest, (found, expected)| {
+            largest.max((sign * found - expected).abs())
+        })
+    };
+    with_sign(1.0).min(with_sign(-1.0))
+}
+
+#[test]
+fn attitudes_and_biases_are_those_of_the_authors_package() {
+    let mut rows = GOLDEN.lines().skip(1);
+    let mut largest = (0.0_f64, 0.0_f64);
+    for (rate_hz, bias_deg_s) in CASES {
+        let step_s = 1.0 / f64::from(rate_hz);
+        let mut filter = Vqf::new(FORCE_S, step_s, 1.0 / f64::from(FIELD_RATE_HZ));
+        for index in 1..=SECONDS * rate_hz {
+            let t_s = f64::from(index) / f64::from(rate_hz);
+            let [rate, force, field] = signal(t_s, bias_deg_s);
+            filter.update(rate, force);
+            if index % (rate_hz / FIELD_RATE_HZ) == 0 {
+                filter.update_field(field);
+            }
+            if index % (NOTED_S * rate_hz) != 0 {
+                continue;
+            }
+            let row: Vec<f64> = rows
+                .next()
+                .unwrap()
+                .split(',')
+                .map(|cell| cell.parse().unwrap())
+                .collect();
+            assert_eq!((row[0], row[1]), (f64::from(rate_hz), t_s));
+            let level = distance(filter.level_attitude(), &row[2..6]);
+            let attitude = level.max(distance(filter.attitude(), &row[6..10]));
+            let bias = norm(subtract(filter.bias_rad_s(), [row[10], row[11], row[12]]));
+            let place = format!("{rate_hz} Hz, {bias_deg_s:?}, {t_s} s");
+            assert!(attitude < ATTITUDE_TOLERANCE, "{place}: {attitude}");
+            assert!(bias < BIAS_TOLERANCE_RAD_S, "{place}: {bias} rad/s");
+            largest = (largest.0.max(attitude), largest.1.max(bias));
+        }
+    }
+    assert_eq!(rows.next(), None);
+    println!(
+        "largest differences: {:e}, {:e} rad/s",
+        largest.0, largest.1
+    );
+}
