@@ -117,8 +117,8 @@ mod app {
     /// SPI1 is not used as a port. [`AttitudeTask`] uses its interrupt to request a check of the
     /// sensor's settings, or a transfer with a compass.
     #[task(binds = SPI1, priority = 4, shared = [reader])]
-    fn transfer_request(context: transfer_request::Context) {
-        context.shared.reader.on_transfer_request();
+    fn transaction_request(context: transaction_request::Context) {
+        context.shared.reader.on_transaction_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]

@@ -61,22 +61,33 @@ impl fmt::Display for NotScored {
 }
 
 /// Returns the recordings of these sets, for a test; says that it is skipped if one is missing.
+///
+/// # Panics
+///
+/// Panics with the name of a file that cannot be scored, or of a set without a recording.
 #[cfg(test)]
 pub fn recordings_of(sets: &[&str]) -> Option<Vec<Recording>> {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("..")
-        .join(DEFAULT_FOLDER);
-    let paths: Vec<PathBuf> = sets.iter().map(|set| data.join(set)).collect();
-    if !paths.iter().all(|path| path.is_dir()) {
-        println!("skipped: there are no recordings of {}", sets.join(", "));
-        return None;
+    let paths = sets.iter().map(|set| aplomb_recordings::at_hand::set(set));
+    paths
+        .collect::<Option<Vec<PathBuf>>>()
+        .map(|paths| all_of(&paths))
+}
+
+/// Returns the recordings in these folders, of which each file has to be one.
+#[cfg(test)]
+fn all_of(paths: &[PathBuf]) -> Vec<Recording> {
+    let mut all = Vec::new();
+    for path in paths {
+        let folders = Folders {
+            paths: std::slice::from_ref(path),
+            ..Folders::default()
+        };
+        let (recordings, not_scored) = folders.read().expect("recordings that can be read");
+        let is_whole = not_scored.is_empty() && !recordings.is_empty();
+        assert!(is_whole, "{}", folders.nothing_to_score(&not_scored));
+        all.extend(recordings);
     }
-    let folders = Folders {
-        paths: &paths,
-        ..Folders::default()
-    };
-    let (recordings, _) = folders.read().expect("recordings that can be read");
-    Some(recordings)
+    all
 }
 
 impl Folders<'_> {
@@ -159,6 +170,32 @@ impl Folders<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Returns the message of the panic at a folder with these files.
+    fn panic_at(folder: &str, files: &[(&str, &str)]) -> String {
+        let folder = std::env::temp_dir().join(format!("aplomb-{folder}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).expect("a folder");
+        for (name, text) in files {
+            std::fs::write(folder.join(name), text).expect("a file");
+        }
+        let paths = [folder.clone()];
+        let result = std::panic::catch_unwind(|| all_of(&paths).len());
+        std::fs::remove_dir_all(&folder).expect("a folder");
+        let message = result.expect_err("a set that is not whole");
+        *message.downcast::<String>().expect("a message")
+    }
+
+    #[test]
+    fn a_set_with_a_damaged_file_is_no_set() {
+        let good = (0..2_000).fold("t_us,ax,ay,az,gx,gy,gz\n".to_owned(), |text, index| {
+            format!("{text}{},0,0,9.8,0,0,0\n", index * 5_000)
+        });
+        let cut = &good[..300];
+        let message = panic_at("damaged", &[("a.csv", &good), ("b.csv", cut)]);
+        assert!(message.contains("b.csv"), "{message}");
+        let message = panic_at("empty", &[]);
+        assert!(message.contains("there is no recording in it"), "{message}");
+    }
 
     #[test]
     fn what_is_stated_of_a_set_comes_before_what_is_known() {

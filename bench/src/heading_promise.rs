@@ -32,6 +32,7 @@ use aplomb_recordings::simulated_compass::{COMPASS_DELAY_US, SimulatedCompass};
 
 use crate::faulty_compass::{Fault, FaultyCompass};
 use crate::parallel;
+use crate::promise::{exceeds, larger};
 
 /// First seed. The limits of `HEADING_VALID` were set with the first 250 flights of each kind, and
 /// with those from seed 60,000 on.
@@ -90,6 +91,8 @@ struct Outcome {
     samples: u32,
     valid: u32,
     wrong: u32,
+    /// Sum of the errors that valid headings may have, degrees.
+    allowed_sum_deg: f64,
     /// Largest error of a valid heading, as a share of the allowed one.
     worst: f64,
     /// Time of the first wrong heading, s.
@@ -225,6 +228,7 @@ impl Flight {
             samples: 0,
             valid: 0,
             wrong: 0,
+            allowed_sum_deg: 0.0,
             worst: 0.0,
             first_s: None,
         };
@@ -242,10 +246,8 @@ impl Flight {
             let absolute = turn.multiply(snapshot.attitude);
             let error = error_deg(absolute, truth_of(truth, MOUNT), Mount::Z_UP).abs();
             let sigma_deg = f64::from(degrees(heading.sigma_rad));
-            outcome.add(
-                simulated.t_us,
-                error / ALLOWED_DEG.max(ALLOWED_SIGMAS * sigma_deg),
-            );
+            let allowed_deg = larger(ALLOWED_DEG, ALLOWED_SIGMAS * sigma_deg);
+            outcome.add(simulated.t_us, error, allowed_deg);
         });
         outcome
     }
@@ -284,11 +286,13 @@ impl Flight {
 }
 
 impl Outcome {
-    /// Adds a valid heading: its time and its error as a share of the allowed one.
-    fn add(&mut self, t_us: u64, share: f64) {
+    /// Adds a valid heading: its time, its error and the allowed one, degrees. NaN is wrong.
+    fn add(&mut self, t_us: u64, error_deg: f64, allowed_deg: f64) {
+        let share = error_deg / allowed_deg;
         self.valid += 1;
-        self.worst = self.worst.max(share);
-        if share > 1.0 {
+        self.allowed_sum_deg += allowed_deg;
+        self.worst = larger(self.worst, share);
+        if exceeds(share, 1.0) {
             self.wrong += 1;
             self.first_s.get_or_insert(t_us as f64 * 1e-6);
         }
@@ -337,11 +341,13 @@ pub fn run(runs: u64) -> Result<String, String> {
         let worst = of_kind
             .iter()
             .map(|outcome| outcome.worst)
-            .fold(0.0, f64::max);
+            .fold(0.0, larger);
+        let allowed = of_kind.iter().map(|outcome| outcome.allowed_sum_deg);
+        let allowed_deg = allowed.sum::<f64>() / f64::from(valid);
         let _ = writeln!(
             text,
             "{name}: {} flights, {wrong} valid and wrong, {share:.1} % of the time valid, largest \
-             error {worst:.2} of the allowed one",
+             error {worst:.2} of the allowed one, which is {allowed_deg:.1} deg on average",
             of_kind.len()
         );
     }
@@ -377,6 +383,27 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_heading_that_is_no_number_is_wrong_if_it_is_valid() {
+        let mut outcome = Outcome {
+            name: String::new(),
+            kind: Kind::Start,
+            knowledge: CompassKnowledge::Factory,
+            samples: 3,
+            valid: 0,
+            wrong: 0,
+            allowed_sum_deg: 0.0,
+            worst: 0.0,
+            first_s: None,
+        };
+        outcome.add(1_000_000, 14.0, 15.0);
+        assert_eq!((outcome.wrong, outcome.first_s), (0, None));
+        outcome.add(2_000_000, f64::NAN, 15.0);
+        outcome.add(3_000_000, 1.0, larger(ALLOWED_DEG, f64::NAN));
+        assert_eq!((outcome.wrong, outcome.first_s), (2, Some(2.0)));
+        assert!(outcome.worst.is_nan());
+    }
+
+    #[test]
     fn a_heading_is_never_valid_and_wrong() {
         let summary = run(25).expect("the promise");
         println!("{summary}");
@@ -389,6 +416,14 @@ mod tests {
                 .and_then(|(share, _)| share.parse().ok())
                 .expect("a share");
             assert!(share > 8.0, "{line}");
+            // So would a large σ.
+            let allowed = line
+                .split_once("which is ")
+                .and_then(|(_, rest)| rest.split_once(' '));
+            let allowed: f64 = allowed
+                .and_then(|(allowed, _)| allowed.parse().ok())
+                .expect("an allowed error");
+            assert!(allowed <= 42.0, "{line}");
         }
         let kept = summary.split_once("have shown it: ").expect("a count").1;
         let (kept, _) = kept.split_once(' ').expect("a count");

@@ -10,6 +10,7 @@ use aplomb_recordings::attitude;
 use aplomb_recordings::simulated::samples;
 
 use crate::parallel;
+use crate::promise::{is_broken, larger};
 
 const HOUR_S: u64 = 3_600;
 /// Start of a flight that does not count, µs.
@@ -20,6 +21,7 @@ const START_US: u64 = 60_000_000;
 pub struct Score {
     rows: u64,
     squares_deg2: f64,
+    sum_of_sigmas_deg: f64,
     /// Largest inclination error, degrees.
     pub maximum_deg: f64,
     valid: u64,
@@ -32,6 +34,12 @@ impl Score {
     /// Returns the root mean square of the inclination error, degrees.
     pub fn rms_deg(&self) -> f64 {
         (self.squares_deg2 / self.rows as f64).sqrt()
+    }
+
+    /// Returns the mean σ, degrees.
+    #[cfg(test)]
+    fn mean_sigma_deg(&self) -> f64 {
+        self.sum_of_sigmas_deg / self.rows as f64
     }
 
     /// Returns the share of rows that are `VALID`.
@@ -49,7 +57,8 @@ impl Score {
         Self {
             rows: self.rows + other.rows,
             squares_deg2: self.squares_deg2 + other.squares_deg2,
-            maximum_deg: self.maximum_deg.max(other.maximum_deg),
+            sum_of_sigmas_deg: self.sum_of_sigmas_deg + other.sum_of_sigmas_deg,
+            maximum_deg: larger(self.maximum_deg, other.maximum_deg),
             valid: self.valid + other.valid,
             within_3_sigma: self.within_3_sigma + other.within_3_sigma,
             violations: self.violations + other.violations,
@@ -60,12 +69,12 @@ impl Score {
         let error_deg = error_rad.to_degrees();
         self.rows += 1;
         self.squares_deg2 += error_deg * error_deg;
-        self.maximum_deg = self.maximum_deg.max(error_deg);
+        self.sum_of_sigmas_deg += sigma_rad.to_degrees();
+        self.maximum_deg = larger(self.maximum_deg, error_deg);
         self.within_3_sigma += u64::from(error_rad <= 3.0 * sigma_rad);
         if flags.contains(Flags::VALID) {
             self.valid += 1;
-            let limit_rad = (6.0 * sigma_rad).max(5_f64.to_radians());
-            self.violations += u64::from(error_rad > limit_rad);
+            self.violations += u64::from(is_broken(error_deg, sigma_rad.to_degrees()));
         }
     }
 }
@@ -176,6 +185,10 @@ mod tests {
                 assert!(quarter.valid_share() >= 0.9999, "{seed}: {quarters:?}");
                 assert!(quarter.within_3_sigma() >= 0.99, "{seed}: {quarters:?}");
                 assert_eq!(quarter.violations, 0, "{seed}: {quarters:?}");
+                // A large σ would keep any promise.
+                let sigma_deg = quarter.mean_sigma_deg();
+                println!("{seed}: mean σ {sigma_deg:.2} degrees");
+                assert!(sigma_deg < 30.0, "{seed}: {quarters:?}");
             }
             let [_, second, _, last] = quarters[..] else {
                 panic!("{seed}: {} quarters", quarters.len());
@@ -203,5 +216,11 @@ mod tests {
         );
         let row = flight_row(7, &hours[..1]);
         assert!(row.contains("| – | 2.86° |"), "{row}");
+        hours[1].add(f64::NAN, 0.1, Flags::VALID);
+        let row = flight_row(7, &hours);
+        assert!(
+            row.contains("| NaN° |") && row.ends_with("| 2 |\n"),
+            "{row}"
+        );
     }
 }

@@ -18,6 +18,7 @@ mod motion_starts;
 mod parallel;
 mod peers;
 mod picture;
+mod promise;
 mod recording;
 mod report;
 mod rest;

@@ -182,6 +182,7 @@ fn starts_in_motion(recording: &Recording) -> Vec<Recording> {
         let moves = recording.true_up.get(rows.start)?.is_some();
         moves.then(|| Recording {
             samples: recording.samples[rows.clone()].to_vec(),
+            known_up: recording.known_up[rows.clone()].to_vec(),
             true_up: recording.true_up[rows.clone()].to_vec(),
             compass: recording.compass.as_ref().map(|compass| Compass {
                 fields: compass.fields[rows.clone()].to_vec(),

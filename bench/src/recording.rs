@@ -12,9 +12,10 @@ use aplomb_models::motion::geometry::angle_between;
 use aplomb_recordings::attitude::up_in_body;
 use aplomb_recordings::counts::counts;
 use aplomb_recordings::form::header;
-use aplomb_recordings::log::{Lines, LogColumns, LogError, LogFault, Row, Rows};
+use aplomb_recordings::log::{Lines, LogColumns, LogError, LogFault, Row, Rows, UnitGuess};
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::score::{Errors, START_US, Score, up_in_sensor};
+use aplomb_recordings::turns::Turns;
 use aplomb_recordings::units::{BadRows, RowOptions};
 use aplomb_recordings::vibration::{FULL_SCALE_G, Vibration};
 
@@ -37,7 +38,9 @@ pub struct Recording {
     pub accelerometer: AccelerometerKnowledge,
     /// Samples.
     pub samples: Vec<Sample>,
-    /// True "up" in body axes for each sample, where it is known and counts.
+    /// True "up" in body axes for each sample, where it is known.
+    pub known_up: Vec<Option<[f64; 3]>>,
+    /// True "up" in body axes for each sample, where it is known and counts for scores.
     pub true_up: Vec<Option<[f64; 3]>>,
     /// Compass, if the recording has one: its heading is scored then, not its tilt.
     pub compass: Option<Compass>,
@@ -88,6 +91,19 @@ impl Handling {
     }
 }
 
+/// Fault of a file's rows.
+enum Fault {
+    /// The values are no register counts.
+    Counts,
+    Log(LogError),
+}
+
+impl From<LogError> for Fault {
+    fn from(error: LogError) -> Self {
+        Self::Log(error)
+    }
+}
+
 /// Result of reading a file.
 pub enum Found {
     /// Recording that can be scored.
@@ -130,35 +146,23 @@ impl Recording {
                 None => AccelerometerKnowledge::Calibrated,
             }),
             samples: Vec::new(),
+            known_up: Vec::new(),
             true_up: Vec::new(),
             compass: columns.has_compass().then(|| handling.compass()),
             clipping: None,
         };
-        let mut rows = match rows_of(lines, columns, handling)? {
-            Ok(rows) => rows,
-            Err(reason) => return unusable(&reason),
-        };
-        let mut start = None;
-        while let Some(row) = rows.next_row()? {
-            let (first_us, mount) = *start.get_or_insert((row.time_us, mount(&row)));
-            let since_us = row.time_us.checked_sub(first_us);
-            let t_us = since_us
-                .and_then(|since| u64::try_from(since).ok())
-                .ok_or_else(|| rows.refuse(LogFault::Time(row.time_us.to_string())))?;
-            let Ok(sample) = sample(&row, t_us, mount, handling) else {
+        match recording.add_rows(lines, columns, handling) {
+            Ok(()) => {}
+            Err(Fault::Counts) => {
                 return unusable(
                     "its values are no register counts, though its set is said to hold them",
                 );
-            };
-            recording.samples.push(sample);
-            if let Some(compass) = &mut recording.compass {
-                compass.add(&row, mount);
             }
-            let up = row.attitude.filter(|_| row.scored).map(up_in_sensor);
-            recording.true_up.push(up.map(|up| {
-                let up = mount.to_body(vector(up)).0;
-                [up.x, up.y, up.z].map(f64::from)
-            }));
+            Err(Fault::Log(LogError {
+                reason: LogFault::Unit(guess),
+                ..
+            })) => return unusable(&unit_message(&guess)),
+            Err(Fault::Log(error)) => return Err(error),
         }
         if handling.ranges.is_none() {
             recording.mark_clipping();
@@ -175,6 +179,43 @@ impl Recording {
                 "it has no truth, and after its first 5 s it does not lie still for 1.5 s either",
             )
         }
+    }
+
+    /// Adds the rows of a file after its header. Rates and other numbers that suggest another unit
+    /// are a fault.
+    fn add_rows(
+        &mut self,
+        lines: Lines,
+        columns: LogColumns,
+        handling: Handling,
+    ) -> Result<(), Fault> {
+        let keep = RowOptions {
+            bad_rows: Some(BadRows::Keep),
+            ..RowOptions::default()
+        };
+        let mut rows = Rows::new(lines, columns, keep, handling.ranges.is_some())?;
+        let mut start = None;
+        while let Some(row) = rows.next_row()? {
+            let (first_us, mount) = *start.get_or_insert((row.time_us, mount(&row)));
+            let since_us = row.time_us.checked_sub(first_us);
+            let t_us = since_us
+                .and_then(|since| u64::try_from(since).ok())
+                .ok_or_else(|| rows.refuse(LogFault::Time(row.time_us.to_string())))?;
+            let Ok(sample) = sample(&row, t_us, mount, handling) else {
+                return Err(Fault::Counts);
+            };
+            self.samples.push(sample);
+            if let Some(compass) = &mut self.compass {
+                compass.add(&row, mount);
+            }
+            let up = row.attitude.map(up_in_sensor).map(|up| {
+                let up = mount.to_body(vector(up)).0;
+                [up.x, up.y, up.z].map(f64::from)
+            });
+            self.known_up.push(up);
+            self.true_up.push(up.filter(|_| row.scored));
+        }
+        Ok(())
     }
 
     /// Marks clipped samples as saturated.
@@ -203,9 +244,26 @@ impl Recording {
         vibration
     }
 
-    /// Returns messages on what harms the accuracy.
+    /// Returns the turns of the force beside those of the gyroscope.
+    fn turns(&self) -> Turns {
+        let mut turns = Turns::default();
+        for sample in &self.samples {
+            let [force, rates] = [sample.specific_force_m_s2, sample.angular_rate_rad_s]
+                .map(|vector| [vector.x, vector.y, vector.z].map(f64::from));
+            let is_saturated = sample.is_force_saturated || sample.is_rate_saturated;
+            turns.add(sample.t_us.cast_signed(), force, rates, is_saturated);
+        }
+        turns
+    }
+
+    /// Returns messages on what harms the accuracy, or shows that columns are not what they seem.
     pub fn warnings(&self) -> Vec<String> {
-        let messages = [self.clipping.clone(), self.vibration().message()];
+        let messages = [
+            self.clipping.clone(),
+            self.vibration().message(),
+            // This program has no option for the unit.
+            (self.turns().warning()).map(|text| text.replace(" (--rate-unit)", "")),
+        ];
         let place = |message| format!("{}/{}: {message}", self.set, self.name);
         messages.into_iter().flatten().map(place).collect()
     }
@@ -273,29 +331,13 @@ impl Recording {
     }
 }
 
-/// Starts the rows of a file after its header. Returns a reason if their numbers suggest another
-/// unit.
-fn rows_of(
-    lines: Lines,
-    columns: LogColumns,
-    handling: Handling,
-) -> Result<Result<Rows, String>, LogError> {
-    let keep = RowOptions {
-        bad_rows: Some(BadRows::Keep),
-        ..RowOptions::default()
-    };
-    match Rows::new(lines, columns, keep, handling.ranges.is_some()) {
-        Ok(rows) => Ok(Ok(rows)),
-        Err(LogError {
-            reason: LogFault::Unit(guess),
-            ..
-        }) => Ok(Err(format!(
-            "{} is mostly {:.3}, where {} is usual: convert it to µs, m/s² and rad/s, or say \
-             --counts SET=G,DPS if these are counts",
-            guess.quantity, guess.value, guess.usual
-        ))),
-        Err(error) => Err(error),
-    }
+/// Returns the reason not to score a recording whose numbers suggest another unit.
+fn unit_message(guess: &UnitGuess) -> String {
+    format!(
+        "{} is mostly {:.3}, where {} is usual: convert it to µs, m/s² and rad/s, or say \
+         --counts SET=G,DPS if these are counts",
+        guess.quantity, guess.value, guess.usual
+    )
 }
 
 /// Returns every file below a folder, in order; or the file itself.

@@ -102,6 +102,7 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         reference: Reference::Truth,
         accelerometer: AccelerometerKnowledge::Factory,
         samples: Vec::new(),
+        known_up: Vec::new(),
         true_up: Vec::new(),
         compass: None,
         clipping: None,
@@ -115,8 +116,9 @@ pub fn recording(set: &str, name: String, samples: impl Iterator<Item = Simulate
         sample.is_rate_saturated = raw.gyroscope.is_saturated();
         sample.is_force_saturated = raw.accelerometer.is_saturated();
         recording.samples.push(sample);
-        let up = truth.attitude.filter(|_| truth.scored).map(up_in_body);
-        recording.true_up.push(up);
+        let up = truth.attitude.map(up_in_body);
+        recording.known_up.push(up);
+        recording.true_up.push(up.filter(|_| truth.scored));
     }
     recording
 }

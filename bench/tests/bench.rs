@@ -52,6 +52,23 @@ fn resting(z: f64) -> String {
     })
 }
 
+/// Returns three seconds of rest at 200 Hz, then seventeen of a turn about x at this rate, rad/s.
+/// The rates are multiplied by a factor, as in another unit.
+fn turned(factor: f64, rate_rad_s: f64) -> String {
+    let mut text = String::from("t_us,ax,ay,az,gx,gy,gz,qw,qx,qy,qz,mov\n");
+    for index in 0..4_000 {
+        let turning = f64::from((index - 600).max(0));
+        let angle = 0.005 * rate_rad_s * turning;
+        let (y, z) = angle.sin_cos();
+        let (sine, cosine) = (0.5 * angle).sin_cos();
+        let rate_rad_s = if turning > 0.0 { rate_rad_s } else { 0.0 };
+        let (time_us, rate) = (index * 5_000, factor * rate_rad_s);
+        let (y, z) = (9.80665 * y, 9.80665 * z);
+        writeln!(text, "{time_us},0,{y},{z},{rate},0,0,{cosine},{sine},0,0,1").unwrap();
+    }
+    text
+}
+
 /// Checks a row of accuracy.csv.
 fn check_row(line: &str) {
     let cells: Vec<&str> = line.split(',').collect();
@@ -87,6 +104,34 @@ fn check_row(line: &str) {
             "{line}"
         );
     }
+}
+
+/// Checks that accuracy.csv has a row for each filter on each recording, and no other.
+fn check_names(csv: &str) {
+    const RECORDINGS: [&str; 4] = [
+        "counted,resting.csv",
+        "still,a.csv",
+        "unknown,resting.csv",
+        "wrong,b.csv",
+    ];
+    const FILTERS: [&str; 8] = [
+        "kalman",
+        "axis-kalman",
+        "classic",
+        "vqf",
+        "vqf as is",
+        "fusion",
+        "madgwick",
+        "mahony",
+    ];
+    let found: Vec<String> = (csv.lines().skip(1))
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            format!("{},{},{}", cells[0], cells[1], cells[4])
+        })
+        .collect();
+    let each = |recording| FILTERS.map(|filter| format!("{recording},{filter}"));
+    assert_eq!(found, RECORDINGS.map(each).concat());
 }
 
 /// Checks that the JSON has the scores of accuracy.csv.
@@ -127,7 +172,8 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     // Without truth: one rests, one turns all the time. In register counts: one is stated, one is
     // not.
     let turning = (0..2_000).fold(String::from(UNKNOWN), |text, index| {
-        format!("{text}{},0,0,9.8,{},0,0\n", index * 5_000, index % 200)
+        let (y, z) = (0.005 * f64::from(index)).sin_cos();
+        format!("{text}{},0,{},{},1,0,0\n", index * 5_000, 9.8 * y, 9.8 * z)
     });
     file("bench/unknown", "turning.csv", turning);
     file("bench/unknown", "resting.csv", resting(9.8));
@@ -138,6 +184,7 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     file("bench/units", "g.csv", in_g);
     let in_milliseconds = log(0.0, 0.0).replace("000,0,0,", ",0,0,");
     file("bench/units", "ms.csv", in_milliseconds);
+    file("bench/units", "deg.csv", turned(57.295_78, 0.8));
     let (folder, output) = (path("bench", ""), path("bench-output", ""));
     let result = bench(&[
         folder.as_os_str(),
@@ -160,6 +207,7 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
             "the specific force is mostly 1.000, where about 9.8",
         ),
         ("units/ms.csv", "the time between rows is mostly 5.000"),
+        ("units/deg.csv", "where up to 20 rad/s is usual: convert it"),
     ];
     for (name, reason) in reasons {
         let line = printed.lines().find(|line| line.contains(name));
@@ -177,10 +225,8 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
     );
     assert!(printed.contains("million/s"), "{printed}");
     let csv = std::fs::read_to_string(output.join("accuracy.csv")).unwrap();
-    let rows = csv.lines().skip(1);
-    rows.clone().for_each(check_row);
-    let rows = rows.count();
-    assert!(rows >= 28 && rows % 4 == 0, "{rows}");
+    csv.lines().skip(1).for_each(check_row);
+    check_names(&csv);
     let picture = std::fs::read(output.join("accuracy.png")).unwrap();
     assert!(picture.starts_with(b"\x89PNG"));
     let result = bench(&[
@@ -190,6 +236,23 @@ fn every_filter_is_scored_on_every_recording_with_truth() {
         "--json".as_ref(),
     ]);
     check_json(&result.stdout, &csv, reasons.len());
+}
+
+/// Rates in °/s that are too slow to be refused are a warning.
+#[test]
+fn rates_that_contradict_the_force_are_a_warning() {
+    file("bench-slow/set", "slow.csv", turned(57.295_78, 0.2));
+    file("bench-slow/set", "good.csv", turned(1.0, 0.2));
+    let result = bench(&[path("bench-slow", "").as_os_str(), "--json".as_ref()]);
+    let found: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
+    let [warning] = &found["warnings"].as_array().unwrap()[..] else {
+        panic!("{found}")
+    };
+    let warning = warning.as_str().unwrap();
+    assert!(
+        warning.starts_with("set/slow.csv: the rates do not fit the force"),
+        "{warning}"
+    );
 }
 
 #[test]

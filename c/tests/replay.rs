@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 
 use aplomb::units::{degrees, radians};
 use aplomb_models::motion::quadrotor::Quadrotor;
+use aplomb_recordings::at_hand;
 use aplomb_recordings::log::Log;
 use aplomb_recordings::motion::truth_of;
 use aplomb_recordings::plateau::Plateaus;
@@ -201,7 +202,7 @@ fn simulated() -> PathBuf {
 
 /// Returns all recordings beside the project.
 fn recordings() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    let folder = at_hand::folder();
     let Ok(sets) = std::fs::read_dir(&folder) else {
         eprintln!("skipped: there is no {}", folder.display());
         return Vec::new();

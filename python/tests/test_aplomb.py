@@ -495,10 +495,12 @@ def test_a_recording_and_its_columns_are_not_mixed():
 
 
 INTERRUPTED = """
-import _thread, sys, threading, time
+import _thread, signal, sys, threading, time
 import numpy as np
 import aplomb
 
+# A caller in the background may have it ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 count = 2_000_000
 zero = np.zeros((count, 3), np.float32)
 force = zero + np.float32([0, 0, 9.8])

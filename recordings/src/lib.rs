@@ -23,6 +23,8 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+#[doc(hidden)]
+pub mod at_hand;
 pub mod attitude;
 pub mod attitude_table;
 mod columns;

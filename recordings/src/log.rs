@@ -24,7 +24,7 @@ use std::path::Path;
 
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 
-pub use crate::fault::{LogError, LogFault};
+pub use crate::fault::{LogError, LogFault, UnitGuess};
 use crate::form::header;
 pub use crate::lines::{ACCELEROMETER_COMMENT, Lines};
 pub use crate::row::{LogColumns, Row, parse_row};

@@ -271,6 +271,7 @@ fn level_by(specific_force: Vector) -> Quaternion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::at_hand;
     use aplomb_models::motion::geometry::{angle_between, subtract};
     use aplomb_models::motion::truth::{STANDARD_GRAVITY_M_S2, inclination_error_rad, up_in_body};
     use std::path::PathBuf;
@@ -501,18 +502,15 @@ mod tests {
         );
     }
 
-    /// Returns the recordings of a set beside the project, if they are there.
-    fn recordings(kind: &str) -> Vec<PathBuf> {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../../shared/data")
-            .join(kind);
-        let Ok(entries) = std::fs::read_dir(&folder) else {
-            eprintln!("skipped: there is no {}", folder.display());
+    /// Returns the recordings of a set, if they are at hand.
+    fn recordings(set: &str) -> Vec<PathBuf> {
+        let Some(folder) = at_hand::set(set) else {
             return Vec::new();
         };
-        let mut files: Vec<PathBuf> = entries
-            .filter_map(|entry| Some(entry.ok()?.path()))
-            .collect();
+        let entries = std::fs::read_dir(&folder).expect("the folder can be read");
+        let entries = entries.map(|entry| entry.expect("the folder can be read").path());
+        let mut files: Vec<PathBuf> = entries.collect();
+        assert!(!files.is_empty(), "{} is empty", folder.display());
         files.sort();
         files
     }

@@ -29,6 +29,8 @@ const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
 /// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who
 /// spins a sensor reaches 14 rad/s.
 const LARGEST_MEAN_RATE_RAD_S: f64 = 20.0;
+/// Units that large rates suggest, with their options.
+const MEANT_RATES: &str = "°/s (--rate-unit deg/s) or register counts (--raw)";
 /// Time over which the mean rate is taken, µs.
 const MEAN_RATE_US: u64 = 2_000_000;
 /// Longest pause of a logger, µs: an hour.
@@ -249,33 +251,49 @@ impl Judge {
         }
         let rate = norm(row.rates_rad_s);
         let is_given = self.options.rate_unit.is_some();
-        let meant = "°/s (--rate-unit deg/s) or register counts (--raw)";
         let largest = if is_given {
             LARGEST_GIVEN_RATE_RAD_S
         } else {
             LARGEST_RATE_RAD_S
         };
         if rate > largest {
-            return Err(implausible(row.rates_rad_s, 4, "rad/s", meant));
+            return Err(implausible(row.rates_rad_s, 4, "rad/s", MEANT_RATES));
+        }
+        self.rates(row)
+    }
+
+    /// Checks that the rates until this row are in rad/s, whatever single rows hold. A unit that
+    /// is given is taken as it is.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault, with the unit that the rates suggest.
+    pub fn rates(&mut self, row: &Row) -> Result<(), LogFault> {
+        let rate = norm(row.rates_rad_s);
+        let is_number = (rate + norm(row.specific_force_m_s2)).is_finite();
+        if self.is_raw || self.options.rate_unit.is_some() || !is_number {
+            return Ok(());
         }
         let (start_us, sum, number) = &mut self.mean;
         if row.time_us.abs_diff(*start_us) > MEAN_RATE_US || *number == 0 {
             (*start_us, *sum, *number) = (row.time_us, 0.0, 0);
         }
-        *sum += rate;
+        // A few rows that no sensor gave do not decide.
+        *sum += rate.min(LARGEST_RATE_RAD_S);
         *number += 1;
         let mean = *sum / f64::from(*number);
         let is_long = row.time_us.abs_diff(*start_us) > MEAN_RATE_US / 2 && *number > 20;
-        if is_long && mean > LARGEST_MEAN_RATE_RAD_S && !is_given {
+        if is_long && mean > LARGEST_MEAN_RATE_RAD_S {
             return Err(LogFault::Unit(Box::new(UnitGuess {
                 quantity: "the rate",
                 value: mean,
                 usual: "up to 20 rad/s",
-                meant,
+                meant: MEANT_RATES,
                 option: "--rate-unit rad/s",
             })));
         }
-        match self.still.row(row).filter(|_| !is_given) {
+        let is_plausible = rate <= LARGEST_RATE_RAD_S;
+        match is_plausible.then(|| self.still.row(row)).flatten() {
             Some(value) => Err(LogFault::Unit(Box::new(UnitGuess {
                 quantity: "the rate, while the force keeps its direction,",
                 value,

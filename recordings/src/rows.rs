@@ -91,6 +91,7 @@ impl Rows {
     /// # Errors
     ///
     /// Returns the place and the fault of a bad row, unless the options leave it out or keep it.
+    /// No option keeps rates that suggest another unit.
     pub fn next_row(&mut self) -> Result<Option<Row>, LogError> {
         loop {
             self.read_ahead(1);
@@ -103,7 +104,7 @@ impl Rows {
             };
             self.line = line;
             let verdict = match self.rule() {
-                BadRows::Keep => Ok(()),
+                BadRows::Keep => self.judge.rates(&row),
                 BadRows::Refuse | BadRows::Skip => self.judge(&row),
             };
             match verdict.map_err(|fault| self.refuse(fault)) {
@@ -627,6 +628,46 @@ mod tests {
             assert!(read.is_ok_and(|(rows, _)| rows.len() == 500));
         }
         assert!(read(&rest("0.037,-0.056,0.024"), SI, false).is_ok());
+    }
+
+    /// Before, `Keep` skipped this check: bench scored rates in °/s as rad/s.
+    #[test]
+    fn rates_of_another_unit_are_refused_where_any_row_is_kept() {
+        let keep = RowOptions {
+            bad_rows: Some(BadRows::Keep),
+            ..SI
+        };
+        let fast = turned(1.0, 1.0, 57.295_78);
+        let rest = (0..500).fold(String::new(), |mut text, index| {
+            writeln!(text, "{},0.2,0.1,9.8,2.1,-3.2,1.4", index * 10_000).expect("memory");
+            text
+        });
+        for text in [&fast, &rest] {
+            let refusal = read(text, keep, false).expect_err("these are °/s");
+            assert!(refusal.contains("(--rate-unit deg/s)"), "{refusal}");
+            let given = RowOptions {
+                rate_unit: Some(RateUnit::RadiansPerSecond),
+                ..keep
+            };
+            assert!(read(text, given, false).is_ok());
+            assert!(read(text, keep, true).is_ok(), "counts have no unit");
+        }
+        // Single rows may have any value.
+        let slow = turned(1.0, 1.0, 1.0);
+        for bad in ["1e30", "nan", "-inf", "4000"] {
+            let rows = slow.lines().enumerate().map(|(index, line)| {
+                let cells: Vec<&str> = line.split(',').collect();
+                match index % 50 {
+                    7 => format!(
+                        "{},{},{},{},{bad},0,0\n",
+                        cells[0], cells[1], cells[2], cells[3]
+                    ),
+                    _ => format!("{line}\n"),
+                }
+            });
+            let (rows, _) = read(&rows.collect::<String>(), keep, false).expect(bad);
+            assert_eq!(rows.len(), 2_000, "{bad}");
+        }
     }
 
     #[test]

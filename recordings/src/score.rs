@@ -56,6 +56,9 @@ impl Errors {
     /// Adds the angle between an estimated "up" and the true one, with the reported σ.
     pub fn add(&mut self, estimated_up: [f64; 3], true_up: [f64; 3], sigma_rad: Option<f32>) {
         let error_rad = angle_between(estimated_up, true_up);
+        // NaN is no number of a distribution, and no error is as large.
+        let is_number = !error_rad.is_nan();
+        let error_rad = if is_number { error_rad } else { f64::INFINITY };
         self.degrees.add(error_rad.to_degrees());
         if let Some(sigma_rad) = sigma_rad {
             let multiple = error_rad / f64::from(sigma_rad);
@@ -168,6 +171,18 @@ mod tests {
         errors.add([1.0, 0.0, 0.0], up, Some(f32::NAN));
         let consistency = errors.score().unwrap().consistency.unwrap();
         assert_eq!(consistency.within_3_sigma, 0.5);
+    }
+
+    #[test]
+    fn an_attitude_that_is_no_number_is_the_largest_error() {
+        let up = [0.0, 0.0, 1.0];
+        let mut errors = Errors::default();
+        for found in [up, [f64::NAN; 3], up] {
+            errors.add(found, up, Some(0.1));
+        }
+        let score = errors.score().unwrap();
+        assert_eq!((score.rms, score.maximum), (f64::INFINITY, f64::INFINITY));
+        assert!(score.consistency.unwrap().within_3_sigma < 0.67);
     }
 
     #[test]

@@ -41,7 +41,8 @@ pub enum BadRows {
     Refuse,
     /// Bad rows are left out and counted.
     Skip,
-    /// Numbers may have any value, and times any order. A row that cannot be read is an error.
+    /// Numbers may have any value, and times any order. A row that cannot be read is an error, and
+    /// so are rates that suggest another unit.
     Keep,
 }
 

@@ -5,18 +5,16 @@
 //!
 //! # Publication
 //!
-//! The task publishes the latest snapshot for telemetry, debuggers and the virtual board.
-//!
-//! The attitude task is the only writer. It increments `sequence` last, so a reader of lower
-//! priority that finds the same count before and after its copy holds one whole snapshot. A
-//! debugger, which halts the core, reads the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0,
-//! the count at 44.
+//! The task publishes the latest snapshot for telemetry, debuggers and the virtual board
+//! (`publication.rs`). A debugger reads the symbol `APLOMB_SNAPSHOT`: the snapshot at offset 0, the
+//! number of publications at 44.
 
 use core::mem::offset_of;
-use core::sync::atomic::{AtomicU32, Ordering, fence};
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use super::burst_reader::{self, ReceivedBurst};
 use super::compass::CompassReader;
+use super::publication::Publication;
 use super::{clocks, retained, timebase, watchdog};
 use crate::attitude::{Quaternion, Vector3};
 use crate::compass;
@@ -72,14 +70,14 @@ impl AttitudeTask {
     /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
     /// comes.
     ///
-    /// `after_publication` gets the burst and its snapshot after the publication. `compass` gets
-    /// its rounds, if there is one. Returns the flags if they have changed.
+    /// `after_publication` gets the burst and its published flags. `compass` gets its rounds, if
+    /// there is one. Returns the flags if they have changed.
     #[inline]
     pub fn run(
         &mut self,
         pipeline: &mut Pipeline,
         mut compass: Option<&mut CompassReader>,
-        after_publication: impl FnOnce(&ReceivedBurst, &Snapshot),
+        after_publication: impl FnOnce(&ReceivedBurst, Flags),
     ) -> Option<FlagChange> {
         let updated = burst_reader::take(|received| {
             let snapshot = pipeline.update(&received.burst, received.flags);
@@ -90,10 +88,10 @@ impl AttitudeTask {
                 flags |= Flags::BUS_FAULT | Flags::DEGRADED;
             }
             publish(&snapshot, flags);
-            after_publication(received, &snapshot);
-            snapshot
+            after_publication(received, flags);
+            (snapshot, flags)
         });
-        if let Some(snapshot) = updated {
+        if let Some((snapshot, flags)) = updated {
             if compass::IS_BUILT_IN
                 && self.has_heading
                 && let Some(compass) = &mut compass
@@ -101,14 +99,14 @@ impl AttitudeTask {
                 compass.update_heading(pipeline);
             }
             self.finish_sample(pipeline, compass, &snapshot);
-            return self.take_flags(snapshot.flags);
+            return self.update_flags(flags);
         }
         let (t_us, board) = burst_reader::take_stale()?;
         let snapshot = pipeline.stale(t_us, board);
         publish(&snapshot, snapshot.flags);
         watchdog::report_attitude();
         keep_state(pipeline, &snapshot);
-        self.take_flags(snapshot.flags)
+        self.update_flags(snapshot.flags)
     }
 
     /// Requests checks of the sensor's settings, and does the periodic work.
@@ -119,11 +117,11 @@ impl AttitudeTask {
         compass: Option<&mut CompassReader>,
         snapshot: &Snapshot,
     ) {
-        // Neither is true of an attitude that is valid and no more.
+        // Each condition sets `DEGRADED` too, so `VALID` alone needs neither test.
         if snapshot.flags != Flags::VALID
             && (pipeline.awaits_scale_check() || snapshot.flags.contains(Flags::POLLED))
         {
-            burst_reader::request_check();
+            burst_reader::request_transaction();
         }
         self.samples_to_housekeeping -= 1;
         if self.samples_to_housekeeping == 0 {
@@ -152,7 +150,7 @@ impl AttitudeTask {
         }
         watchdog::report_samples();
         watchdog::report_attitude();
-        burst_reader::request_check();
+        burst_reader::request_transaction();
         // The NMI of a failed crystal may be missing.
         if clocks::have_fallen_back() {
             timebase::raise_burst_alarm();
@@ -165,7 +163,7 @@ impl AttitudeTask {
     }
 
     #[inline(always)]
-    fn take_flags(&mut self, flags: Flags) -> Option<FlagChange> {
+    fn update_flags(&mut self, flags: Flags) -> Option<FlagChange> {
         if flags == self.flags {
             return None;
         }
@@ -200,15 +198,6 @@ impl Default for AttitudeTask {
 /// Words of a snapshot.
 const WORDS: usize = 11;
 
-#[repr(C)]
-struct Published {
-    /// Snapshot, word by word.
-    words: [AtomicU32; WORDS],
-    /// Number of publications, zero until the first.
-    sequence: AtomicU32,
-}
-
-const _: () = assert!(offset_of!(Published, sequence) == 44);
 // The order of the words below.
 const _: () = assert!(offset_of!(Snapshot, attitude) == 8 && offset_of!(Quaternion, z) == 12);
 const _: () = assert!(offset_of!(Snapshot, body_rates_rad_s) == 24 && offset_of!(Vector3, z) == 8);
@@ -216,57 +205,40 @@ const _: () = assert!(offset_of!(Snapshot, tilt_variance_rad2) == 4 * (WORDS - 1
 
 /// Latest snapshot, and the number of publications.
 #[unsafe(no_mangle)]
-static APLOMB_SNAPSHOT: Published = Published {
-    words: [const { AtomicU32::new(0) }; WORDS],
-    sequence: AtomicU32::new(0),
-};
+static APLOMB_SNAPSHOT: Publication<WORDS> = Publication::new();
 
 /// Publishes a snapshot with these flags. Only the attitude task calls this.
 #[inline(always)]
 fn publish(snapshot: &Snapshot, published: Flags) {
     let (q, rates) = (&snapshot.attitude, &snapshot.body_rates_rad_s);
-    let [low, high, qw, qx, qy, qz, p, q_rate, r, flags, variance] = &APLOMB_SNAPSHOT.words;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
-    store(low, snapshot.t_us as u32);
-    store(high, (snapshot.t_us >> 32) as u32);
-    store(qw, q.w.to_bits());
-    store(qx, q.x.to_bits());
-    store(qy, q.y.to_bits());
-    store(qz, q.z.to_bits());
-    store(p, rates.x.to_bits());
-    store(q_rate, rates.y.to_bits());
-    store(r, rates.z.to_bits());
-    store(flags, published.bits());
-    store(variance, snapshot.tilt_variance_rad2.to_bits());
-    let sequence = APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed);
-    APLOMB_SNAPSHOT
-        .sequence
-        .store(sequence.wrapping_add(1), Ordering::Release);
+    APLOMB_SNAPSHOT.publish(
+        |[low, high, qw, qx, qy, qz, p, q_rate, r, flags, variance]| {
+            store(low, snapshot.t_us as u32);
+            store(high, (snapshot.t_us >> 32) as u32);
+            store(qw, q.w.to_bits());
+            store(qx, q.x.to_bits());
+            store(qy, q.y.to_bits());
+            store(qz, q.z.to_bits());
+            store(p, rates.x.to_bits());
+            store(q_rate, rates.y.to_bits());
+            store(r, rates.z.to_bits());
+            store(flags, published.bits());
+            store(variance, snapshot.tilt_variance_rad2.to_bits());
+        },
+    );
 }
 
 /// Returns the number of publications since start, which may wrap.
 pub(super) fn publications() -> u32 {
-    APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed)
+    APLOMB_SNAPSHOT.count()
 }
 
 /// Returns the latest snapshot and its number; `None` before the first. Only for tasks of lower
 /// priority than the writer.
 pub fn latest() -> Option<(Snapshot, u32)> {
-    loop {
-        let before = APLOMB_SNAPSHOT.sequence.load(Ordering::Acquire);
-        if before == 0 {
-            return None;
-        }
-        let words = APLOMB_SNAPSHOT
-            .words
-            .each_ref()
-            .map(|word| word.load(Ordering::Relaxed));
-        // The copy is complete before the count is read again.
-        fence(Ordering::Acquire);
-        if APLOMB_SNAPSHOT.sequence.load(Ordering::Relaxed) == before {
-            return Some((snapshot_of(words), before));
-        }
-    }
+    let (words, number) = APLOMB_SNAPSHOT.latest()?;
+    Some((snapshot_of(words), number))
 }
 
 fn snapshot_of(words: [u32; WORDS]) -> Snapshot {

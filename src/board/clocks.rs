@@ -122,7 +122,7 @@ pub fn have_fallen_back() -> bool {
 #[inline(never)]
 pub fn restore() {
     // SAFETY: init has ended, so the only writers are this function and the NMI. Only the NMI can
-    // interrupt this function, and it writes another register.
+    // interrupt this function, and its one store clears a flag in a register of its own.
     let rcc = unsafe { &*RCC::ptr() };
     acknowledge_failure();
     super::retained::count(crate::fault::FaultClass::ClockFailed);
@@ -171,7 +171,7 @@ const _: () = assert!(PLL_MULTIPLIER >= 192 && PLL_MULTIPLIER <= 432);
 /// Polls of the PLL's ready flag: 0.3 ms at 16 MHz and 4 cycles each.
 const PLL_POLLS: u32 = 1_200;
 
-/// Clears the crystal's failure, so that its NMI ends. Only the NMI's handler calls this.
+/// Clears the crystal's failure, so that its NMI ends. The NMI's handler and `restore` call this.
 pub fn acknowledge_failure() {
     // SAFETY: the bit clears a flag, and no other bit of this register is in use.
     unsafe { &*RCC::ptr() }.cir().write(|w| w.cssc().set_bit());

@@ -193,11 +193,6 @@ impl CompassReader {
         self.session.choice()
     }
 
-    /// Returns the session.
-    pub const fn session(&self) -> &Session {
-        &self.session
-    }
-
     /// Returns the status of the compass.
     pub fn status(&self) -> CompassStatus {
         CompassStatus {
@@ -281,7 +276,7 @@ impl CompassReader {
         };
         self.report_change();
         // While samples are no measurements, no attitude belongs to a reading.
-        let has_attitude = !snapshot.flags.intersects(Flags::FROZEN | Flags::REJECTED);
+        let has_attitude = !snapshot.flags.intersects(Flags::UNUSABLE_SAMPLE);
         let Some(reading_ut) = reading.filter(|_| has_attitude) else {
             return;
         };

@@ -17,11 +17,11 @@
 //! | 16 | 0: unknown, 1: known, 3: known and valid while the attitude is valid |
 //! | 20 | number of publications |
 //!
-//! The attitude task alone writes it, the number last, as with `APLOMB_SNAPSHOT`.
+//! The attitude task alone writes it (`publication.rs`).
 
-use core::mem::offset_of;
-use core::sync::atomic::{AtomicU32, Ordering, fence};
+use core::sync::atomic::{AtomicU32, Ordering};
 
+use super::publication::Publication;
 use crate::estimator::heading::{CompassKnowledge, Heading, HeadingEstimate};
 use crate::pipeline::Pipeline;
 use crate::units::MagneticField;
@@ -81,10 +81,10 @@ impl HeadingPublisher {
         field: MagneticField,
         measured_us: u32,
     ) -> bool {
-        let starts = !self.is_running();
+        let was_running = self.is_running();
         let age_us = pipeline.reading_age_us(measured_us);
         self.filter.add_field(field, age_us);
-        starts
+        !was_running && self.is_running()
     }
 
     /// Starts the filter again with this knowledge and declination (rad), and publishes that no
@@ -112,22 +112,9 @@ impl HeadingPublisher {
 /// Words of an estimate.
 const WORDS: usize = 5;
 
-#[repr(C)]
-struct Published {
-    /// Estimate, word by word.
-    words: [AtomicU32; WORDS],
-    /// Number of publications, zero until the first.
-    sequence: AtomicU32,
-}
-
-const _: () = assert!(offset_of!(Published, sequence) == 20);
-
 /// Latest estimate. A debugger reads it by this symbol.
 #[unsafe(no_mangle)]
-static APLOMB_HEADING: Published = Published {
-    words: [const { AtomicU32::new(0) }; WORDS],
-    sequence: AtomicU32::new(0),
-};
+static APLOMB_HEADING: Publication<WORDS> = Publication::new();
 
 /// Publishes an estimate. Only the attitude task, or a task that holds its lock, calls this.
 fn store(t_us: u64, estimate: Option<HeadingEstimate>) {
@@ -139,16 +126,14 @@ fn store(t_us: u64, estimate: Option<HeadingEstimate>) {
             KNOWN | if estimate.is_valid { VALID } else { 0 },
         ),
     };
-    let [low, high, offset, sigma, known] = &APLOMB_HEADING.words;
     let store = |place: &AtomicU32, word: u32| place.store(word, Ordering::Relaxed);
-    store(low, t_us as u32);
-    store(high, (t_us >> 32) as u32);
-    store(offset, offset_rad.to_bits());
-    store(sigma, sigma_rad.to_bits());
-    store(known, state);
-    let sequence = APLOMB_HEADING.sequence.load(Ordering::Relaxed);
-    let next = sequence.wrapping_add(1);
-    APLOMB_HEADING.sequence.store(next, Ordering::Release);
+    APLOMB_HEADING.publish(|[low, high, offset, sigma, known]| {
+        store(low, t_us as u32);
+        store(high, (t_us >> 32) as u32);
+        store(offset, offset_rad.to_bits());
+        store(sigma, sigma_rad.to_bits());
+        store(known, state);
+    });
 }
 
 /// Returns the latest heading; `None` while it is unknown. Only for tasks of lower priority than
@@ -161,25 +146,12 @@ pub fn latest() -> Option<HeadingEstimate> {
 /// the first publication. The time is 0 while the filter does not run. Only for tasks of lower
 /// priority than the attitude task.
 pub fn latest_change() -> Option<(u64, Option<HeadingEstimate>)> {
-    loop {
-        let before = APLOMB_HEADING.sequence.load(Ordering::Acquire);
-        if before == 0 {
-            return None;
-        }
-        let [low, high, offset, sigma, state] = APLOMB_HEADING
-            .words
-            .each_ref()
-            .map(|word| word.load(Ordering::Relaxed));
-        // The copy is complete before the count is read again.
-        fence(Ordering::Acquire);
-        if APLOMB_HEADING.sequence.load(Ordering::Relaxed) == before {
-            let t_us = u64::from(high) << 32 | u64::from(low);
-            let estimate = (state & KNOWN != 0).then_some(HeadingEstimate {
-                yaw_offset_rad: f32::from_bits(offset),
-                sigma_rad: f32::from_bits(sigma),
-                is_valid: state & VALID != 0,
-            });
-            return Some((t_us, estimate));
-        }
-    }
+    let ([low, high, offset, sigma, state], _) = APLOMB_HEADING.latest()?;
+    let t_us = u64::from(high) << 32 | u64::from(low);
+    let estimate = (state & KNOWN != 0).then_some(HeadingEstimate {
+        yaw_offset_rad: f32::from_bits(offset),
+        sigma_rad: f32::from_bits(sigma),
+        is_valid: state & VALID != 0,
+    });
+    Some((t_us, estimate))
 }

@@ -2,17 +2,10 @@
 //! timing matters.
 //!
 //! Pins and DMA streams are the same on every board: see `pins.rs` and the README. [`boards`] holds
-//! the differences. Only this module contains `unsafe`; each block
-//! gives the reason why it is sound. The unit of ownership is the peripheral. Where two owners
-//! share one (DMA1's clear registers, the sensor's bus), a comment beside the code gives the
-//! hand-over rule.
-//!
-//! | interrupt | priority | does | deadline |
-//! |---|---|---|---|
-//! | EXTI1, I2C1, DMA1 stream 0, TIM5 | 4 | a burst's step, or the time base | byte time, 22 µs |
-//! | attitude (SPI3's vector) | 3 | decode, calibrate, filter, publish | next burst's end, 1 ms |
-//! | telemetry (software task) | 1 | text and log, 50 to 1000 times a second | none: drops lines |
-//! | idle | 0 | configures the sensor, and again after a fault | none |
+//! the differences. This is the only module of the library with `unsafe`; each block gives the
+//! reason why it is sound. The unit of ownership is the peripheral. Where two owners share one
+//! (DMA1's clear registers, the sensor's bus), a comment beside the code gives the hand-over rule.
+//! The tasks, their priorities and deadlines are in `src/bin/flight/main.rs`.
 
 pub mod attitude_task;
 pub mod boards;
@@ -25,6 +18,7 @@ pub mod flash;
 pub mod heading;
 pub mod measure;
 pub mod pins;
+mod publication;
 pub mod retained;
 pub mod sensor;
 pub mod sensor_bus;

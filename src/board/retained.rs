@@ -10,7 +10,7 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use stm32f4xx_hal::pac::rcc;
 
-use crate::estimator::kalman::{PAUSE_RATE_RAD_S, WarmStart};
+use crate::estimator::kalman::{PAUSE_RATE_RAD_S, VALUES, WarmStart};
 use crate::fault::{FaultClass, ResetCause, report};
 
 /// Health report, in the layout of `fault::report`.
@@ -79,12 +79,10 @@ static WARM_STARTS: [Words; 2] = [const { Words([const { AtomicU32::new(0) }; LE
 /// Index of the copy that was written last.
 static NEWEST: AtomicU8 = AtomicU8::new(0);
 
-/// Quaternion, bias and its change, both σ, accelerometer's bias, squared velocity; then their
-/// number and sum.
+/// The values of a [`WarmStart`], then the number of the copy and its sum.
 struct Words([AtomicU32; LENGTH]);
 
-const NUMBERS: usize = 15;
-const LENGTH: usize = NUMBERS + 2;
+const LENGTH: usize = VALUES + 2;
 
 /// Typical age of the kept attitude at a warm start, in seconds. It is half the time between two
 /// copies on average, plus the watchdog's limit of 0.2 to 0.56 s. The worst case of both is 0.8 s,

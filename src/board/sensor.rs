@@ -156,13 +156,13 @@ impl Sensor {
             let settings = sensor
                 .verify_config(&self.config)
                 .map_err(NotReady::Sensor)?;
-            let was_reset = settings != SettingsState::Intact;
+            let needs_reconfiguration = settings != SettingsState::Intact;
             match settings {
                 SettingsState::Intact => {}
                 SettingsState::Reset => retained::count(FaultClass::SensorReset),
                 SettingsState::Changed => retained::count(FaultClass::RegisterChanged),
             }
-            if was_reset {
+            if needs_reconfiguration {
                 burst_reader::flag_sensor_reset();
                 sensor
                     .reconfigure(&self.config, &mut Delay)

@@ -13,7 +13,7 @@ use super::boards::BOARD;
 use super::clocks;
 use super::timebase;
 
-/// Capacity of the transmit buffer, in bytes.
+/// Capacity of the transmit buffer, in bytes: the longest answer as MAVLink, 19 frames of 66 bytes.
 pub const CAPACITY: usize = 1254;
 
 /// Capacity of the ring of received bytes. At 921,600 baud the ring wraps in 22 ms, which is longer

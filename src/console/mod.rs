@@ -8,10 +8,12 @@
 //! | `dispatch` | runs each command |
 //! | `baud` | changes the baud rate, and reverts a change that fails |
 //! | `procedure_runner`, `procedure` | run the calibrations, from one stationary mean to the next |
+//! | `compass_procedure` | runs the calibration of the compass |
 //! | `preferences` | checks that the UART can carry a format at a rate |
 //! | `status` | prints the module's state and the working record |
 //! | `measure` | prints the figures of the module's own work |
 //! | `line_errors` | limits the answers to wrong input |
+//! | `nearest`, `numbers` | find the most similar word, and parse numbers |
 //! | `module` | port through which the console reaches the rest of the module |
 //! | `ground_station` | turns MAVLink requests into commands |
 //!

@@ -56,8 +56,9 @@ bitflags::bitflags! {
         const DEGRADED = 1 << 11;
         /// No sample came: the attitude is the last one, and its σ grows.
         const STALE = 1 << 12;
-        /// Bursts have failed since the previous sample. Without [`Flags::VALID`]: the bus is held
-        /// after the burst of this sample, whose rates may be false.
+        /// Bursts have failed since the previous sample. Without [`Flags::VALID`] and without
+        /// [`Flags::STALE`]: the bus is held after the burst of this sample, whose rates may be
+        /// false.
         const BUS_FAULT = 1 << 13;
         /// The sensor had lost its settings, and has been or is being reconfigured.
         const SENSOR_RESET = 1 << 14;
@@ -92,8 +93,11 @@ impl Flags {
         .union(Self::STALE)
         .union(Self::TEMPERATURE);
 
+    /// Flags of a sample that is no measurement.
+    pub(crate) const UNUSABLE_SAMPLE: Self = Self::FROZEN.union(Self::REJECTED);
+
     /// Flags of an attitude whose sample is no measurement, or that has no new sample.
-    pub(crate) const NO_MEASUREMENT: Self = Self::FROZEN.union(Self::REJECTED).union(Self::STALE);
+    pub(crate) const NO_MEASUREMENT: Self = Self::UNUSABLE_SAMPLE.union(Self::STALE);
 
     /// Flags of an attitude that is degraded.
     pub const DEGRADING: Self = Self::INVALIDATING

@@ -1,15 +1,11 @@
 //! Health of an attitude: its flags, and the monitor that sets them.
 //!
 //! [`Flags::VALID`] is a promise: the tilt is wrong by no more than the larger of 5° and six of
-//! its own σ. Therefore σ grows while samples are missing. An attitude loses `VALID` whenever a
-//! wrong sample could pass for a right one:
+//! its own σ. Therefore σ grows while samples are missing. An attitude is not `VALID`
 //!
-//! - the sample is no measurement, the data are frozen, or an axis is stuck;
-//! - the temperature is outside the part's range;
-//! - the rates could come from a changed full scale, which has not been read back yet.
-//!
-//! Nor is it `VALID` while its σ exceeds 30°. While the gyroscope's offset is unknown, σ is much
-//! larger.
+//! - with one of the flags [`Flags::INVALIDATING`];
+//! - while the rates could come from a changed full scale, which has not been read back yet;
+//! - while its σ exceeds 30°. While the gyroscope's offset is unknown, σ is much larger.
 //!
 //! ```
 //! use aplomb::health::{Flags, Monitor, MonitoredSensor};

@@ -20,7 +20,7 @@ const HOTTEST_CELSIUS: f32 = 85.0;
 /// s.
 ///
 /// With that bandwidth, a repetition of all six axes after 11 ms of noise (product specification
-/// §6.1 and §6.2) has a probability below one in 10,000. There are two such pairs here.
+/// §6.1 and §6.2) has a probability below one in 10,000. 22 ms hold two such intervals.
 const FROZEN_S: f32 = 0.022;
 /// Time of identical samples for narrower low-pass filters, s: successive samples often repeat.
 const FROZEN_NARROW_S: f32 = 0.099;
@@ -96,9 +96,10 @@ impl Monitor {
         self.stuck_axis.is_stuck()
     }
 
-    /// Adds [`Flags::MOVED`] when the sensor begins to move before its offset is known.
+    /// Returns [`Flags::CALIBRATING`], and [`Flags::MOVED`] when the sensor begins to move. Call it
+    /// with each sample while the gyroscope's offset is unknown.
     #[inline]
-    pub fn calibrating(&mut self, is_still: bool) -> Flags {
+    pub fn update_calibration(&mut self, is_still: bool) -> Flags {
         let mut flags = Flags::CALIBRATING;
         flags.set(Flags::MOVED, self.was_still && !is_still);
         self.was_still = is_still;
@@ -300,7 +301,7 @@ mod tests {
     fn motion_is_flagged_when_it_begins() {
         let mut monitor = monitor(98);
         let moved = [false, true, false, false, true, false]
-            .map(|is_still| monitor.calibrating(is_still).contains(Flags::MOVED));
+            .map(|is_still| monitor.update_calibration(is_still).contains(Flags::MOVED));
         assert_eq!(moved, [false, false, true, false, false, true]);
     }
 }

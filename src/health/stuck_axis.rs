@@ -18,7 +18,8 @@ const WORDS: usize = 7;
 /// Samples of a window.
 pub(super) const WINDOW_SAMPLES: u8 = 25;
 
-/// Change over a window that noise does not reach.
+/// Change over a window that noise does not reach: six σ of two readings' difference at 188 Hz
+/// (product specification §6.1, §6.2). At ±16 g and ±2000 °/s they are 128 and 16 counts.
 pub(super) const MOTION_G: f32 = 0.0625;
 pub(super) const MOTION_DEGREES_S: f32 = 0.977;
 

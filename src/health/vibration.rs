@@ -97,7 +97,7 @@ impl Vibration {
 
     fn close_window(&mut self) {
         const SHARE: f32 = 1.0 / WINDOW_FORCES as f32;
-        const FREE_FORCES: f32 = (WINDOW_FORCES as f32 - 1.0) * WINDOWS as f32;
+        const DEGREES_OF_FREEDOM: f32 = (WINDOW_FORCES as f32 - 1.0) * WINDOWS as f32;
         self.deviations += self.squares - SHARE * self.sum.dot(self.sum);
         self.forces = 0;
         self.sum = Vector3::ZERO;
@@ -105,7 +105,7 @@ impl Vibration {
         self.windows = self.windows.wrapping_add(1);
         if self.windows >= WINDOWS {
             self.windows = 0;
-            let is_too_strong = self.deviations > FREE_FORCES * self.limit;
+            let is_too_strong = self.deviations > DEGREES_OF_FREEDOM * self.limit;
             self.flags.set(Flags::VIBRATION, is_too_strong);
             self.deviations = 0.0;
         }

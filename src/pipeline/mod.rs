@@ -75,9 +75,6 @@ use thermal_drift::ThermalDrift;
 /// Samples between two updates of the temperature compensation.
 const TEMPERATURE_SAMPLES: u8 = 64;
 
-/// Flags of a sample that is no measurement.
-const NO_MEASUREMENT: Flags = Flags::REJECTED.union(Flags::FROZEN);
-
 /// All steps from a burst to a snapshot, with their state.
 ///
 /// The fields keep this order in memory, because a core reaches the first kilobyte with shorter
@@ -177,7 +174,7 @@ impl Pipeline {
         if self.is_late(burst.captured_at_us) {
             return self.skip(burst.captured_at_us, flags | Flags::TIME);
         }
-        if flags.intersects(NO_MEASUREMENT) {
+        if flags.intersects(Flags::UNUSABLE_SAMPLE) {
             return self.skip(burst.captured_at_us, flags);
         }
         self.follow_temperature(temperature);
@@ -275,7 +272,7 @@ impl Pipeline {
         }
         if !estimate.is_bias_known {
             let is_still = self.estimator.filter().is_still();
-            flags |= self.monitor.calibrating(is_still);
+            flags |= self.monitor.update_calibration(is_still);
         }
         Snapshot {
             t_us: sample.t_us,
@@ -289,13 +286,12 @@ impl Pipeline {
     /// Skips a sample that is no measurement or comes late: for the filter it is missing.
     #[cold]
     #[inline(never)]
-    fn skip(&mut self, t_us: u64, mut flags: Flags) -> Snapshot {
+    fn skip(&mut self, t_us: u64, flags: Flags) -> Snapshot {
         self.suspect.skip(flags);
         if self.monitor.has_stuck_axis() {
             // It has turned the attitude wrongly for a while.
             self.kalman_mut().lose_tilt();
         }
-        flags.set(Flags::CALIBRATING, !self.kalman().is_bias_known());
         self.hold(t_us, flags)
     }
 
@@ -309,7 +305,8 @@ impl Pipeline {
     /// with its age.
     #[cold]
     #[inline(never)]
-    fn hold(&self, t_us: u64, flags: Flags) -> Snapshot {
+    fn hold(&self, t_us: u64, mut flags: Flags) -> Snapshot {
+        flags.set(Flags::CALIBRATING, !self.kalman().is_bias_known());
         let estimate = self.estimator.estimate();
         let age_us = t_us.saturating_sub(self.estimator.last_t_us().unwrap_or(0));
         let age_us = u32::try_from(age_us).unwrap_or(u32::MAX);
@@ -562,7 +559,7 @@ impl Pipeline {
         let (offset_rad_s, weight) =
             (model.as_ref()).map_or((Vector3::ZERO, 0.0), |model| model.offset_at(celsius));
         let followed_before = self.thermal_drift.follows_model();
-        let walk = self.thermal_drift.walk(celsius, dt_s, weight >= 1.0);
+        let walk = self.thermal_drift.update(celsius, dt_s, weight >= 1.0);
         if self.thermal_drift.follows_model() {
             let before = self.alignment.gyroscope_offset_rad_s();
             self.set_gyroscope_offset(offset_rad_s);

@@ -34,10 +34,10 @@ impl StoredOffset {
             return stored;
         };
         let (offset, weight) = model.offset_at(celsius);
-        let rest = 1.0 - weight;
+        let remainder = 1.0 - weight;
         Self {
-            offset_rad_s: offset.scale(weight) + stored.offset_rad_s.scale(rest),
-            sigma_rad_s: MODEL_SIGMA_RAD_S * weight + stored.sigma_rad_s * rest,
+            offset_rad_s: offset.scale(weight) + stored.offset_rad_s.scale(remainder),
+            sigma_rad_s: MODEL_SIGMA_RAD_S * weight + stored.sigma_rad_s * remainder,
         }
     }
 

@@ -73,7 +73,7 @@ impl Settings {
         self.calibration.mount.unwrap_or(self.mount)
     }
 
-    /// Returns what the calibration tells of the accelerometer's offset.
+    /// Returns the knowledge of the accelerometer's offset that the calibration implies.
     pub(super) fn accelerometer_knowledge(&self) -> AccelerometerKnowledge {
         let Some(AccelerometerCorrection { matrix, .. }) = self.calibration.accelerometer else {
             return AccelerometerKnowledge::Factory;
@@ -108,7 +108,7 @@ impl Settings {
         })
     }
 
-    /// Returns what the monitor has to know of the sensor.
+    /// Returns the sensor's properties for the monitor.
     pub(super) fn monitored_sensor(&self) -> MonitoredSensor {
         let (sensor, temperature) = (&self.sensor, &self.part.temperature);
         MonitoredSensor {

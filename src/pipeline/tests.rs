@@ -1242,6 +1242,9 @@ fn a_state_to_continue_from_is_as_uncertain_as_the_latest_snapshot() {
     let mut moving = Pipeline::new(&settings());
     let latest = update(&mut moving, &noisy(1_000, LEVEL));
     assert_eq!(moving.warm_start(&latest), None);
+    // Without samples the offset stays as unknown as it was.
+    let stale = moving.stale(5_000, BoardFlags::empty());
+    assert!(stale.flags.contains(Flags::STALE | Flags::CALIBRATING));
 }
 
 /// Samples may fail to come after a reset, or be no measurements. The kept tilt then grows old.

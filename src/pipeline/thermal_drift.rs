@@ -56,7 +56,7 @@ impl ThermalDrift {
     /// Takes the temperature `dt_s` after the last one, and whether it is in the range of a model.
     /// Decides whether the offset follows the model. Returns the variance that the offset's random
     /// walk gains, rad²/s² per second.
-    pub(super) fn walk(&mut self, celsius: f32, dt_s: f32, is_in_range: bool) -> f32 {
+    pub(super) fn update(&mut self, celsius: f32, dt_s: f32, is_in_range: bool) -> f32 {
         if self.average_celsius == NONE_CELSIUS {
             (self.average_celsius, self.slow_celsius) = (celsius, celsius);
         }
@@ -103,7 +103,7 @@ mod tests {
         let mut variance = 0.0;
         for step in 0..2 * steps {
             let minutes = f32::from(step) / f32::from(steps);
-            let walk = drift.walk(20.0 + celsius_per_minute * minutes, STEP_S, false);
+            let walk = drift.update(20.0 + celsius_per_minute * minutes, STEP_S, false);
             if step >= steps {
                 variance += walk * STEP_S;
             }
@@ -124,13 +124,13 @@ mod tests {
     #[test]
     fn the_first_temperature_is_no_change_and_a_wrong_one_adds_little() {
         let mut drift = ThermalDrift::NONE;
-        assert_eq!(drift.walk(-30.0, STEP_S, false), 0.0);
-        assert_eq!(drift.walk(-30.0, STEP_S, false), 0.0);
+        assert_eq!(drift.update(-30.0, STEP_S, false), 0.0);
+        assert_eq!(drift.update(-30.0, STEP_S, false), 0.0);
         // A register that is 100 °C off for a third of a second.
         let mut variance = 0.0;
         for step in 0..1_000 {
             let celsius = if step < 5 { 70.0 } else { -30.0 };
-            variance += drift.walk(celsius, STEP_S, false) * STEP_S;
+            variance += drift.update(celsius, STEP_S, false) * STEP_S;
         }
         let sigma_rad_s = libm::sqrtf(variance);
         assert!(sigma_rad_s < radians(0.15), "{sigma_rad_s}");
@@ -140,9 +140,9 @@ mod tests {
     fn slow_bursts_follow_the_temperature_at_once() {
         // Bursts of 1 Hz: 64 of them take longer than the average.
         let mut drift = ThermalDrift::NONE;
-        drift.walk(20.0, 64.0, false);
-        assert!(drift.walk(30.0, 64.0, false) > 0.0);
-        assert_eq!(drift.walk(30.0, 64.0, false), 0.0);
+        drift.update(20.0, 64.0, false);
+        assert!(drift.update(30.0, 64.0, false) > 0.0);
+        assert_eq!(drift.update(30.0, 64.0, false), 0.0);
     }
 
     #[test]
@@ -150,12 +150,12 @@ mod tests {
         // A jump of the register, and the time until the model is followed again, s.
         for (jump_celsius, expected_s) in [(1.9, 0.0), (-20.0, 36.0), (20.0, 36.0)] {
             let mut drift = ThermalDrift::NONE;
-            drift.walk(30.0, STEP_S, true);
+            drift.update(30.0, STEP_S, true);
             assert!(drift.follows_model());
             let mut steps: u16 = 0;
-            drift.walk(30.0 + jump_celsius, STEP_S, true);
+            drift.update(30.0 + jump_celsius, STEP_S, true);
             while !drift.follows_model() {
-                drift.walk(30.0 + jump_celsius, STEP_S, true);
+                drift.update(30.0 + jump_celsius, STEP_S, true);
                 steps += 1;
             }
             let followed_s = f32::from(steps) * STEP_S;
@@ -164,7 +164,7 @@ mod tests {
         // 0.45 °C/s is that of a die.
         let mut drift = ThermalDrift::NONE;
         for step in 0..1_000_u16 {
-            drift.walk(0.45 * STEP_S * f32::from(step), STEP_S, true);
+            drift.update(0.45 * STEP_S * f32::from(step), STEP_S, true);
             assert!(drift.follows_model());
         }
     }

@@ -10,9 +10,9 @@ use core::str::FromStr;
 pub struct Preferences {
     /// Telemetry format. Default: text.
     pub format: OutputFormat,
-    /// Attitudes per second. Default: 50.
+    /// Attitudes per second, 1 to 1000. Default: 50.
     pub rate_hz: u16,
-    /// Bits per second on the UART. Default: 115,200.
+    /// Bits per second on the UART: one of the console's `BAUD_RATES`. Default: 115,200.
     pub baud: u32,
 }
 

@@ -199,7 +199,8 @@ pub(crate) fn has_same_bytes(left: &Record, right: &Record) -> bool {
 }
 
 /// Erases both slots, the active record last: a power cut leaves that record or none, never an
-/// older one.
+/// older one. The firmware's command `forget` clears the record in use instead, and `save` stores
+/// that.
 ///
 /// # Errors
 ///

@@ -46,3 +46,19 @@ pub use frame::{
 pub use mailbox::Mailbox;
 pub use output::Output;
 pub use pace::Pace;
+
+/// Characters in one STATUSTEXT of MAVLink.
+pub(crate) const TEXT_LENGTH: usize = 50;
+/// Length of a frame of STATUSTEXT, in bytes: header and checksum, severity, characters, and the
+/// text's number with that of the piece.
+pub(crate) const TEXT_FRAME_LENGTH: usize = 12 + 1 + TEXT_LENGTH + 3;
+
+/// Returns the room in bytes for a text of this many characters in any format. The longest format
+/// is MAVLink: one frame for each 50 characters, and a last one that ends with a zero.
+///
+/// ```
+/// assert_eq!(aplomb::telemetry::text_room(120), 3 * 66);
+/// ```
+pub const fn text_room(characters: usize) -> usize {
+    (characters / TEXT_LENGTH + 1) * TEXT_FRAME_LENGTH
+}

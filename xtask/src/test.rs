@@ -159,7 +159,14 @@ fn test_on_host(
         if !folder.is_dir() {
             step::skip("tests with recordings", &recordings::absence(&folder));
         }
+        for set in recordings::missing_sets(&folder) {
+            let work = format!("tests with recordings of {set}");
+            step::skip(&work, &recordings::absence(&folder.join(set)));
+        }
         let mut test = step::host_cargo("test");
+        // Each test runs in the folder of its package.
+        let folder = std::path::absolute(&folder).map_err(|error| error.to_string())?;
+        test.env(recordings::VARIABLE, folder);
         test.args(["--release", "--workspace"]);
         for (board, elf) in images {
             let name = board.name.to_uppercase().replace('-', "_");

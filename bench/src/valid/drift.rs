@@ -16,12 +16,11 @@ use aplomb_models::motion::quadrotor::Quadrotor;
 use aplomb_models::motion::truth::up_in_body;
 use aplomb_recordings::simulated::samples;
 
-use super::{Judged, seeds};
+use super::{Allowed, Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 
-/// Change of the temperature, °C in a minute and in all: indoors to a frosty day.
-const CELSIUS_PER_MINUTE: f64 = 6.0;
+/// Change of the temperature in all, °C: indoors to a frosty day.
 const MOST_CELSIUS: f64 = 25.0;
 /// Change of the offset, °/s per °C: the largest of the product specification, §6.1.
 const DRIFT_DEGREES_S: f64 = 0.16;
@@ -46,11 +45,21 @@ struct Warmer {
     die: f64,
 }
 
-/// Motion of a sensor: times, readings, and the true direction of up where it counts.
+/// Motion of a sensor: times, readings, the true direction of up, and whether it counts for the
+/// mean error.
 struct Motion {
     name: String,
     knowledge: AccelerometerKnowledge,
-    rows: Vec<(u64, RawSample, Option<Vector>)>,
+    rows: Vec<(u64, RawSample, Option<Vector>, bool)>,
+}
+
+/// Outcome of a motion.
+struct Outcome {
+    /// Time for which the attitude was `VALID` and wrong, ms.
+    wrong_ms: f64,
+    /// Tilt error, root mean square, degrees.
+    rms_deg: f64,
+    allowed: Allowed,
 }
 
 impl Motion {
@@ -59,8 +68,8 @@ impl Motion {
         let flown = samples(Box::new(Quadrotor::by_seed(seed)), seed, FLIGHT_SECONDS);
         let rows = flown.map(|simulated| {
             let truth = simulated.truth;
-            let attitude = truth.attitude.filter(|_| truth.scored);
-            (simulated.t_us, simulated.raw, attitude.map(up_in_body))
+            let up = truth.attitude.map(up_in_body);
+            (simulated.t_us, simulated.raw, up, truth.scored)
         });
         Self {
             name: format!("flight {seed}"),
@@ -78,12 +87,13 @@ impl Motion {
             let Vector3 { x, y, z } = mount.to_sensor(BodyVector(vector));
             [x, y, z].map(|value| (scale * value).round() as i16)
         };
-        let rows = recording.samples.iter().zip(&recording.true_up);
-        let rows = rows.map(|(sample, true_up)| {
+        let ups = recording.known_up.iter().zip(&recording.true_up);
+        let rows = recording.samples.iter().zip(ups);
+        let rows = rows.map(|(sample, (up, counted))| {
             let mut raw = RawSample::default();
             raw.accelerometer.0 = counts(sample.specific_force_m_s2, per_m_s2);
             raw.gyroscope.0 = counts(sample.angular_rate_rad_s, per_rad_s);
-            (sample.t_us, raw, *true_up)
+            (sample.t_us, raw, *up, counted.is_some())
         });
         Self {
             name: recording.name.clone(),
@@ -92,15 +102,14 @@ impl Motion {
         }
     }
 
-    /// Returns the time for which the attitude was wrong and `VALID`, ms, and the root mean square
-    /// of its errors, degrees. The offset drifts in this direction with the die's temperature,
-    /// which a function of the time in seconds gives.
+    /// Returns the outcome. The offset drifts in this direction with the die's temperature, which a
+    /// function of the time in seconds gives.
     fn fly(
         &self,
         axis: Vector,
         model: Option<TemperatureModel>,
         warmer: impl Fn(f64) -> Warmer,
-    ) -> (f64, f64) {
+    ) -> Outcome {
         let (first_us, last_us) = (self.rows[0].0, self.rows[self.rows.len() - 1].0);
         let period_us = (last_us - first_us) as f64 / (self.rows.len() - 1) as f64;
         let mut settings = Settings::new(&Part::MPU_6050);
@@ -109,8 +118,9 @@ impl Motion {
         settings.calibration.temperature = model;
         let mut pipeline = Pipeline::new(&settings);
         pipeline.set_accelerometer_knowledge(self.knowledge);
-        let (mut wrong, mut squares, mut judged) = (0_u32, 0.0, 0_u32);
-        for (t_us, raw, true_up) in &self.rows {
+        let (mut wrong, mut squares, mut counted) = (0_u32, 0.0, 0_u32);
+        let mut allowed = Allowed::default();
+        for (t_us, raw, up, counts) in &self.rows {
             let Warmer { register, die } = warmer((t_us - first_us) as f64 / 1.0e6);
             let drift = DRIFT_DEGREES_S * die * f64::from(counts_per_degree_s);
             let mut raw = *raw;
@@ -124,22 +134,27 @@ impl Motion {
                 missed_before: 0,
             };
             let snapshot = pipeline.update(&burst, BoardFlags::SCALES_VERIFIED);
-            if let Some(true_up) = *true_up {
-                let result = Judged::new(&snapshot, true_up);
-                wrong += u32::from(result.is_wrong);
-                squares += result.error_deg * result.error_deg;
-                judged += 1;
+            let Some(up) = *up else { continue };
+            let judged = Judged::new(&snapshot, up);
+            allowed.add(&judged);
+            wrong += u32::from(judged.is_wrong);
+            if *counts {
+                squares += judged.error_deg * judged.error_deg;
+                counted += 1;
             }
         }
-        assert!(judged > 0, "{}: no row with truth", self.name);
-        let wrong_ms = f64::from(wrong) * period_us / 1_000.0;
-        (wrong_ms, (squares / f64::from(judged)).sqrt())
+        assert!(counted > 0, "{}: no row with truth", self.name);
+        Outcome {
+            wrong_ms: f64::from(wrong) * period_us / 1_000.0,
+            rms_deg: (squares / f64::from(counted)).sqrt(),
+            allowed,
+        }
     }
 }
 
 /// Returns the temperatures of a die that warms.
-fn warming(seconds: f64) -> Warmer {
-    let celsius = (CELSIUS_PER_MINUTE / 60.0 * seconds).min(MOST_CELSIUS);
+fn warming(celsius_per_minute: f64, seconds: f64) -> Warmer {
+    let celsius = (celsius_per_minute / 60.0 * seconds).min(MOST_CELSIUS);
     Warmer {
         register: celsius,
         die: celsius,
@@ -169,14 +184,22 @@ static FLIGHTS: LazyLock<Vec<Motion>> = LazyLock::new(|| {
 /// up to five seconds each, and the hand-held ones 2.4° off.
 #[test]
 fn an_offset_that_drifts_with_the_temperature_is_never_wrong_and_valid() {
-    let fly = |motion: &Motion, axis| motion.fly(axis, None, warming);
-    // The largest mean error, degrees.
-    check("flights", &FLIGHTS, 3.2, fly);
-    match crate::folders::recordings_of(&["broad"]) {
-        None => println!("skipped: no recordings"),
-        Some(recordings) => {
-            let motions: Vec<Motion> = recordings.iter().map(Motion::of).collect();
-            check("BROAD", &motions, 1.2, fly);
+    let recordings = crate::folders::recordings_of(&["broad"]);
+    let recordings: Option<Vec<Motion>> =
+        recordings.map(|recordings| recordings.iter().map(Motion::of).collect());
+    // Degrees Celsius in a minute, and the largest means of the errors and of the allowed errors,
+    // degrees: of flights, and of trials. The offset drifts by 0.96 and 1.2 °/s in a minute.
+    for (celsius_per_minute, of_flights, of_trials) in [
+        (6.0, [3.0, 69.0], [1.1, 13.0]),
+        (7.5, [3.2, 80.0], [1.2, 22.0]),
+    ] {
+        let fly = |motion: &Motion, axis| {
+            motion.fly(axis, None, |seconds| warming(celsius_per_minute, seconds))
+        };
+        let name = |set| format!("{set}, {celsius_per_minute} degrees Celsius a minute");
+        check(&name("flights"), &FLIGHTS, of_flights, fly);
+        if let Some(motions) = &recordings {
+            check(&name("BROAD"), motions, of_trials, fly);
         }
     }
 }
@@ -185,7 +208,7 @@ fn an_offset_that_drifts_with_the_temperature_is_never_wrong_and_valid() {
 /// `VALID` with one of ten seconds.
 #[test]
 fn a_register_that_jumps_in_the_range_of_a_model_is_never_wrong_and_valid() {
-    for (seconds, most_deg) in [(10.0, 1.7), (1_000.0, 2.1)] {
+    for (seconds, bounds) in [(10.0, [1.6, 34.0]), (1_000.0, [1.9, 51.0])] {
         let jumping = |time_s: f64| Warmer {
             register: if (0.0..seconds).contains(&(time_s - JUMP_S)) {
                 JUMP_CELSIUS
@@ -195,24 +218,29 @@ fn a_register_that_jumps_in_the_range_of_a_model_is_never_wrong_and_valid() {
             die: 0.0,
         };
         let fly = |motion: &Motion, axis| motion.fly(axis, Some(model(axis)), jumping);
-        check(&format!("jump of {seconds} s"), &FLIGHTS, most_deg, fly);
+        check(&format!("jump of {seconds} s"), &FLIGHTS, bounds, fly);
     }
 }
 
+/// Checks that no motion is `VALID` and wrong, and the means of the errors and of those that the
+/// promise allows, degrees.
 fn check(
     set: &str,
     motions: &[Motion],
-    most_deg: f64,
-    fly: impl Fn(&Motion, Vector) -> (f64, f64) + Sync,
+    [most_deg, allowed_deg]: [f64; 2],
+    fly: impl Fn(&Motion, Vector) -> Outcome + Sync,
 ) {
     let outcomes = parallel::map(motions, |motion| AXES.map(|axis| fly(motion, axis)));
     for (motion, outcomes) in motions.iter().zip(&outcomes) {
-        for (axis, (wrong_ms, _)) in AXES.iter().zip(outcomes) {
-            assert_eq!(*wrong_ms, 0.0, "{set}, {} {axis:?}: ms", motion.name);
+        for (axis, outcome) in AXES.iter().zip(outcomes) {
+            assert_eq!(outcome.wrong_ms, 0.0, "{set}, {} {axis:?}: ms", motion.name);
         }
     }
-    let errors: Vec<f64> = outcomes.iter().flatten().map(|(_, deg)| *deg).collect();
-    let mean_deg = errors.iter().sum::<f64>() / errors.len() as f64;
-    println!("{set}: {} motions, error {mean_deg:.2}°", errors.len());
+    let outcomes: Vec<&Outcome> = outcomes.iter().flatten().collect();
+    let sum_deg: f64 = outcomes.iter().map(|outcome| outcome.rms_deg).sum();
+    let mean_deg = sum_deg / outcomes.len() as f64;
+    println!("{set}: {} motions, error {mean_deg:.2}°", outcomes.len());
     assert!(mean_deg < most_deg, "{set}: {mean_deg} degrees");
+    let allowed: Allowed = outcomes.iter().map(|outcome| outcome.allowed).sum();
+    allowed.check(set, allowed_deg);
 }

@@ -21,6 +21,7 @@ mod straights;
 mod swings;
 mod turns;
 
+use std::iter::Sum;
 use std::ops::Range;
 
 use aplomb::health::Flags;
@@ -28,9 +29,7 @@ use aplomb::pipeline::Snapshot;
 use aplomb_models::motion::geometry::{Vector, angle_between};
 use aplomb_recordings::attitude::up_in_body;
 
-/// Largest error of a valid attitude: the larger of this angle and six σ.
-const ALLOWED_DEGREES: f64 = 5.0;
-const ALLOWED_SIGMAS: f64 = 6.0;
+use crate::promise;
 
 /// Returns these seeds, shifted by the environment variable `APLOMB_SEED_SHIFT` if it is set. A
 /// bound that counts rare errors may fail then: it holds for the seeds of the test.
@@ -49,6 +48,8 @@ pub struct Judged {
     pub is_valid: bool,
     /// True if it is `VALID` and breaks the promise.
     pub is_wrong: bool,
+    /// Error that the promise allows, degrees.
+    pub allowed_deg: f64,
 }
 
 impl Judged {
@@ -62,7 +63,96 @@ impl Judged {
         Self {
             error_deg,
             is_valid,
-            is_wrong: is_valid && error_deg > ALLOWED_DEGREES.max(ALLOWED_SIGMAS * sigma_deg),
+            is_wrong: is_valid && promise::is_broken(error_deg, sigma_deg),
+            allowed_deg: promise::allowed_deg(sigma_deg),
         }
+    }
+}
+
+/// Errors that `VALID` attitudes may have by the promise. A large σ keeps any promise: tests bound
+/// the mean.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Allowed {
+    valid: u32,
+    sum_deg: f64,
+}
+
+impl Allowed {
+    /// Adds an attitude if it is `VALID`.
+    pub fn add(&mut self, judged: &Judged) {
+        if judged.is_valid {
+            self.valid += 1;
+            self.sum_deg += judged.allowed_deg;
+        }
+    }
+
+    /// Returns the mean, degrees; NaN without a `VALID` attitude.
+    pub fn mean_deg(self) -> f64 {
+        self.sum_deg / f64::from(self.valid)
+    }
+
+    /// Prints the mean, and checks that it is at most this, degrees.
+    pub fn check(self, name: &str, most_deg: f64) {
+        let mean_deg = self.mean_deg();
+        println!("{name}: VALID allows errors of {mean_deg:.2} degrees on average");
+        assert!(mean_deg <= most_deg, "{name}: {mean_deg}, not {most_deg}");
+    }
+}
+
+impl Sum for Allowed {
+    fn sum<I: Iterator<Item = Self>>(parts: I) -> Self {
+        parts.fold(Self::default(), |sum, part| Self {
+            valid: sum.valid + part.valid,
+            sum_deg: sum.sum_deg + part.sum_deg,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aplomb::attitude::Quaternion;
+    use aplomb::estimator::Sample;
+    use aplomb::mpu6050::Part;
+    use aplomb::pipeline::{Pipeline, Settings};
+
+    use super::*;
+
+    const LEVEL: Vector = [0.0, 0.0, -1.0];
+
+    /// Returns a level and valid snapshot with this σ, degrees.
+    fn level(sigma_deg: f32) -> Snapshot {
+        let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+        Snapshot {
+            attitude: Quaternion::IDENTITY,
+            flags: Flags::VALID,
+            tilt_variance_rad2: sigma_deg.to_radians().powi(2),
+            ..pipeline.update_sample(&Sample::default())
+        }
+    }
+
+    #[test]
+    fn an_attitude_that_is_no_number_is_wrong_if_it_is_valid() {
+        let (right, mut no_number) = (level(1.0), level(1.0));
+        no_number.attitude.w = f32::NAN;
+        assert!(!Judged::new(&right, LEVEL).is_wrong);
+        assert!(Judged::new(&right, [0.0, 0.12, -1.0]).is_wrong);
+        assert!(Judged::new(&no_number, LEVEL).is_wrong);
+        assert!(Judged::new(&level(f32::NAN), LEVEL).is_wrong);
+        no_number.flags = Flags::DEGRADED;
+        assert!(!Judged::new(&no_number, LEVEL).is_wrong);
+    }
+
+    #[test]
+    fn a_large_sigma_is_allowed_much() {
+        let mut allowed = Allowed::default();
+        assert!(allowed.mean_deg().is_nan());
+        for sigma_deg in [0.5, 29.0] {
+            allowed.add(&Judged::new(&level(sigma_deg), LEVEL));
+        }
+        let mut lost = level(90.0);
+        lost.flags = Flags::DEGRADED;
+        allowed.add(&Judged::new(&lost, LEVEL));
+        let mean_deg = [allowed, Allowed::default()].into_iter().sum::<Allowed>();
+        assert!((mean_deg.mean_deg() - (5.0 + 174.0) / 2.0).abs() < 1e-3);
     }
 }

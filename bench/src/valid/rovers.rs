@@ -97,7 +97,7 @@ fn yaw_error_and_valid(seed: u64, vibrations_deg_s: [f64; 2]) -> (f64, f64) {
 #[test]
 fn the_yaw_follows_the_turns_of_a_rover_that_vibrates() {
     // Vibrations, and most rovers that may lose their yaw. Before revision 28 they were 17 and 120.
-    const VIBRATIONS: [([f64; 2], usize); 2] = [([0.3, 2.0], 1), ([0.1, 0.3], 25)];
+    const VIBRATIONS: [([f64; 2], usize); 2] = [([0.3, 2.0], 0), ([0.1, 0.3], 16)];
     let seeds = seeds(870_000..870_120);
     for (vibrations_deg_s, most) in VIBRATIONS {
         let rovers = parallel::map(&seeds, |seed| yaw_error_and_valid(*seed, vibrations_deg_s));
@@ -108,6 +108,6 @@ fn the_yaw_follows_the_turns_of_a_rover_that_vibrates() {
             "{} rovers, {vibrations_deg_s:?} °/s rms: {lost} lose their yaw; {valid:.3} VALID",
             seeds.len()
         );
-        assert!(lost <= most && valid > 0.95, "{vibrations_deg_s:?}");
+        assert!(lost <= most && valid > 0.98, "{vibrations_deg_s:?}");
     }
 }

@@ -14,7 +14,7 @@ use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
 use aplomb_recordings::simulated::samples_with;
 
-use super::{Judged, seeds};
+use super::{Allowed, Judged, seeds};
 use crate::parallel;
 use crate::recording::Recording;
 use crate::simulated::recording;
@@ -32,7 +32,7 @@ const FREQUENCIES_HZ: [f64; 2] = [50.0, 250.0];
 /// Time after a start with a known offset in which most attitudes have to be `VALID`, µs, and
 /// their share.
 const VALID_WITHIN_US: u64 = 300_000;
-const LEAST_VALID_SHARE: f64 = 0.8;
+const LEAST_VALID_SHARE: f64 = 0.95;
 
 /// Knowledge at a start.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +49,7 @@ enum Start {
 struct Outcome {
     is_wrong: bool,
     is_valid_in_time: bool,
+    allowed: Allowed,
 }
 
 /// Flies, and judges the time after the start.
@@ -81,6 +82,7 @@ fn fly(start: Start, seed: u64) -> Outcome {
         }
         let judged = Judged::new(&snapshot, up);
         outcome.is_wrong |= judged.is_wrong;
+        outcome.allowed.add(&judged);
         outcome.is_valid_in_time |= judged.is_valid && since_us < VALID_WITHIN_US;
     }
     outcome
@@ -112,7 +114,11 @@ fn shaken(seed: u64, random: &mut Random) -> Recording {
 #[test]
 fn a_start_in_vibration_is_never_wrong_and_valid() {
     let seeds = seeds(640_000..640_100);
-    for start in [Start::Stored, Start::Pause, Start::Unknown] {
+    for (start, allowed_deg) in [
+        (Start::Stored, 61.0),
+        (Start::Pause, 69.0),
+        (Start::Unknown, 105.0),
+    ] {
         let outcomes = parallel::map(&seeds, |seed| fly(start, *seed));
         let wrong = outcomes.iter().filter(|outcome| outcome.is_wrong).count();
         let in_time = outcomes.iter().filter(|outcome| outcome.is_valid_in_time);
@@ -124,5 +130,7 @@ fn a_start_in_vibration_is_never_wrong_and_valid() {
             start == Start::Unknown || share >= LEAST_VALID_SHARE,
             "{start:?}: {share}"
         );
+        let allowed: Allowed = outcomes.iter().map(|outcome| outcome.allowed).sum();
+        allowed.check(&format!("{start:?}"), allowed_deg);
     }
 }

@@ -20,7 +20,7 @@ use crate::requests::{AFTER_PUBLICATION, LOG, STATIONARY};
 pub static BURST_COUNT: AtomicU32 = AtomicU32::new(0);
 
 /// Counts a burst that the pipeline has processed, and passes it on to those that need it. `flags`
-/// are those of its snapshot.
+/// are the published ones.
 #[inline(always)]
 pub fn after_publication(
     received: &ReceivedBurst,

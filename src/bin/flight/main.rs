@@ -6,19 +6,19 @@
 //! | `data_ready` | 4 | INT pin | the next bus event, 22 µs |
 //! | `bus_event`, `bus_error` | 4 | I2C1 | the next bus event, 22 µs |
 //! | `transfer_complete` | 4 | DMA1 stream 0 | the next bus event, 22 µs |
-//! | `transfer_request` | 4 | `attitude`, for the work below | the next bus event, 22 µs |
+//! | `transaction_request` | 4 | `attitude`, for the work below | the next bus event, 22 µs |
 //! | `time` | 4 | TIM5: counter wrap, alarms, telemetry ticks | the next bus event, 22 µs |
-//! | `attitude` | 3 | `transfer_complete` | the end of the next burst, 1 ms |
+//! | `attitude` | 3 | `transfer_complete`, `time` | the end of the next burst, 1 ms |
 //! | `telemetry` | 1 | `time`, at least 50 times a second | nothing: drops lines |
 //! | `idle`, the supervisor | 0 | – | nothing |
 //!
-//! `transfer_request` starts a check of the sensor's settings, or a transfer with the compass.
+//! `transaction_request` starts a check of the sensor's settings, or a transfer with the compass.
 //! `attitude` requests a check every 22 ms, or every 10 ms with a compass. It requests one after
 //! each burst while the bursts are polled, and after a jump of the rate until the full scales are
 //! read back.
 //!
-//! Larger numbers are more urgent in RTIC. `attitude` uses the vector of SPI3, an unused
-//! peripheral, which `transfer_complete` pends. SPI2 dispatches `telemetry`.
+//! Larger numbers are more urgent in RTIC. Three tasks use vectors of peripherals that the firmware
+//! leaves unused: SPI1's serves `transaction_request`, SPI2's `telemetry`, and SPI3's `attitude`.
 //!
 //! Commands run in `telemetry`. A command that changes the pipeline delays `attitude` for the
 //! length of one lock.
@@ -80,7 +80,7 @@ mod app {
     use crate::kept_record;
     use crate::requests::Requests;
     use crate::supervisor;
-    use crate::telemetry::{Logged, Telemetry};
+    use crate::telemetry::{LogInput, Telemetry};
 
     /// Handles a stopped crystal: triggers the alarm of the burst reader, which restores the clock.
     #[allow(
@@ -93,9 +93,11 @@ mod app {
         timebase::raise_burst_alarm();
     }
 
-    /// Bursts queued for the flight log: three telemetry ticks' worth.
+    /// Places for bursts in the queue to the flight log, which uses all but one: those of three
+    /// telemetry ticks of 10 ms.
     const LOG_BURSTS: usize = 32;
-    /// Readings of the compass queued for the flight log, and one: 140 ms.
+    /// Places for readings of the compass in their queue to the flight log. Seven are in use: the
+    /// readings of 70 ms or more.
     const LOG_READINGS: usize = if compass::IS_BUILT_IN { 8 } else { 2 };
     /// Mount if none is stored; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {
@@ -184,7 +186,7 @@ mod app {
         if record.is_some() {
             messages.post(Message::RecordLoaded);
         }
-        // What was in use before a crash is in use again, saved or not.
+        // A warm start restores the record in use, saved or not.
         let kept = kept_record::at_start();
         let in_use = kept.or(record).unwrap_or_default();
         let baud = usable_preferences(in_use.preferences).baud;
@@ -218,7 +220,7 @@ mod app {
                 sensor,
                 flash,
                 to_log,
-                output: Telemetry::new(transmitter, commands, Logged { bursts, readings }),
+                output: Telemetry::new(transmitter, commands, LogInput { bursts, readings }),
             },
         )
     }
@@ -266,8 +268,8 @@ mod app {
     }
 
     #[task(binds = SPI1, priority = 4, shared = [reader])]
-    fn transfer_request(context: transfer_request::Context) {
-        context.shared.reader.on_transfer_request();
+    fn transaction_request(context: transaction_request::Context) {
+        context.shared.reader.on_transaction_request();
     }
 
     #[task(binds = DMA1_STREAM0, priority = 4, shared = [reader, timebase])]
@@ -308,9 +310,9 @@ mod app {
             };
             let part = pipeline.settings().part;
             let compass = compass::IS_BUILT_IN.then_some(&mut estimation.compass);
-            task.run(pipeline, compass, |received, snapshot| {
+            task.run(pipeline, compass, |received, flags| {
                 let measurement = &mut estimation.measurement;
-                after_publication(received, snapshot.flags, part, measurement, to_log);
+                after_publication(received, flags, part, measurement, to_log);
             })
         });
         if let Some(message) = change.and_then(message_of) {
@@ -324,7 +326,7 @@ mod app {
         let was_calibrating = before.contains(Flags::CALIBRATING);
         if now.contains(Flags::MOVED) {
             Some(Message::MovedAtStart)
-        } else if was_calibrating && !now.intersects(Flags::CALIBRATING | Flags::STALE) {
+        } else if was_calibrating && !now.contains(Flags::CALIBRATING) {
             Some(Message::OffsetMeasured)
         } else if now.contains(Flags::VIBRATION) && !before.contains(Flags::VIBRATION) {
             Some(Message::VibrationTooStrong)

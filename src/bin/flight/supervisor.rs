@@ -52,20 +52,20 @@ pub fn run(
     mut requests: impl Mutex<T = Requests>,
 ) -> ! {
     let mut post = |message| messages.lock(|messages| messages.post(message));
-    let mut last_complaint = None;
+    let mut last_reason = None;
     let mut has_started = false;
-    let mut is_reported = true;
+    let mut should_report = true;
     // The first recovery is reported however early it comes.
     let mut reported_at = timebase::now().wrapping_sub(RECOVERY_MESSAGE_PERIOD_US);
     loop {
         watchdog::report_samples();
         match sensor.make_ready() {
             Ok(ready) => {
-                is_reported |= last_complaint.take().is_some();
+                should_report |= last_reason.take().is_some();
                 start_estimation(&ready, settings, &mut estimation, &mut requests);
                 has_started = true;
                 burst_reader::enable(&ready, &Config::DEFAULT);
-                if is_reported {
+                if should_report {
                     post(Message::SensorConfigured {
                         part: ready.part.name,
                         address: ready.address,
@@ -74,11 +74,11 @@ pub fn run(
                 sleep_or_measure();
                 if burst_reader::is_enabled() {
                     burst_reader::pause();
-                    is_reported = true;
+                    should_report = true;
                 } else {
                     // Under a persistent fault the recovery repeats hundreds of times a second.
-                    is_reported = timebase::elapsed(reported_at, RECOVERY_MESSAGE_PERIOD_US);
-                    if is_reported {
+                    should_report = timebase::elapsed(reported_at, RECOVERY_MESSAGE_PERIOD_US);
+                    if should_report {
                         reported_at = timebase::now();
                         post(Message::Recovering);
                     }
@@ -89,8 +89,8 @@ pub fn run(
                 let is_starting = reason == NotReady::Sensor(mpu6050::Error::NotFound)
                     && sensor.may_be_starting();
                 // One message for each reason, however many attempts.
-                if !is_starting && last_complaint.replace(reason) != Some(reason) {
-                    post(complaint(reason));
+                if !is_starting && last_reason.replace(reason) != Some(reason) {
+                    post(message_for(reason));
                 }
                 if !has_started
                     && timebase::elapsed(0, LONGEST_WAIT_US)
@@ -190,7 +190,7 @@ fn start_pipeline(place: &mut Option<Pipeline>, settings: &Settings, part: &'sta
 }
 
 /// Returns the message for the reason why no samples come.
-fn complaint(reason: NotReady) -> Message {
+fn message_for(reason: NotReady) -> Message {
     match reason {
         NotReady::BusHeldLow(held) => Message::BusHeldLow { clock: held.clock },
         NotReady::Sensor(error) => Message::SensorFailed(error),
@@ -212,7 +212,7 @@ fn perform(
         },
         Job::ReadBack => match sensor.read_back() {
             Ok(read) => Outcome::new(read.settings == SettingsState::Intact, read),
-            Err(reason) => Outcome::new(false, complaint(reason)),
+            Err(reason) => Outcome::new(false, message_for(reason)),
         },
         Job::SelfTest => self_test(sensor, compass),
     }
@@ -236,7 +236,7 @@ fn self_test(sensor: &mut Sensor, compass: CompassToTest) -> Outcome {
     let compass = compass.map(|(part, trims)| sensor.test_compass(part, trims));
     let tested = match sensor.test() {
         Ok(tested) => tested,
-        Err(reason) => return Outcome::new(false, complaint(reason)),
+        Err(reason) => return Outcome::new(false, message_for(reason)),
     };
     let is_ok = tested.has_passed() != Some(false);
     match compass {

@@ -19,7 +19,7 @@ use aplomb::settings::OutputFormat;
 use aplomb::telemetry::heading::LINES_LENGTH as HEADING_LENGTH;
 use aplomb::telemetry::log::{self, NumberedBurst, Sender, TimedHeading};
 use aplomb::telemetry::message::{self, Message, Severity};
-use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace};
+use aplomb::telemetry::{self as formats, FRAME_CAPACITY, Mailbox, Output, Pace, text_room};
 use heapless::spsc::Consumer;
 use rtic::Mutex;
 
@@ -33,20 +33,15 @@ const HAS_LOG: bool = cfg!(feature = "full");
 /// Room for a tick's answer, with its mark and line end, beside a frame.
 const ANSWER_ROOM: usize = ANSWER_CAPACITY + 16;
 const _: () = assert!(ANSWER_ROOM + FRAME_CAPACITY <= uart::CAPACITY);
-/// Returns the room in bytes for a text of this many letters in any format. The longest format is
-/// MAVLink, with one frame per 50 letters, and a last one that ends with a zero.
-const fn room(letters: usize) -> usize {
-    (letters / 50 + 1) * 66
-}
 /// Room for a message.
-const MESSAGE_ROOM: usize = room(message::LINE_CAPACITY);
-const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && room(ANSWER_CAPACITY) <= uart::CAPACITY);
+const MESSAGE_ROOM: usize = text_room(message::LINE_CAPACITY);
+const _: () = assert!(MESSAGE_ROOM <= ANSWER_ROOM && text_room(ANSWER_CAPACITY) <= uart::CAPACITY);
 /// Longest time from a sample to the copy of the pipeline for the log, in µs, so that no attitude
 /// waits for the copy.
 const COPY_WINDOW_US: u32 = 900;
 
 /// Input of the flight log.
-pub struct Logged {
+pub struct LogInput {
     /// Bursts.
     pub bursts: Consumer<'static, NumberedBurst>,
     /// Readings of the compass.
@@ -57,7 +52,7 @@ pub struct Logged {
 pub struct Telemetry {
     transmitter: Transmitter,
     commands: Commands,
-    logged: Logged,
+    log_input: LogInput,
     sender: Sender,
     now_us: u64,
     frames_sent: u8,
@@ -68,12 +63,12 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    /// Creates the telemetry over this UART. `logged` delivers the input of the flight log.
-    pub fn new(transmitter: Transmitter, commands: Commands, logged: Logged) -> Self {
+    /// Creates the telemetry over this UART. `log_input` delivers the input of the flight log.
+    pub fn new(transmitter: Transmitter, commands: Commands, log_input: LogInput) -> Self {
         Self {
             transmitter,
             commands,
-            logged,
+            log_input,
             sender: Sender::new(0),
             now_us: 0,
             frames_sent: 0,
@@ -146,7 +141,7 @@ impl Telemetry {
             }
             OutputFormat::Log if HAS_LOG => put_log(
                 &mut self.sender,
-                &mut self.logged,
+                &mut self.log_input,
                 &mut estimation,
                 latest.map(|latest| &latest.snapshot),
                 now_us,
@@ -208,10 +203,10 @@ impl Telemetry {
     /// Starts or ends the flow of bursts to the log.
     fn follow_log_format(&mut self, is_log: bool) {
         if HAS_LOG && is_log != AFTER_PUBLICATION.set(LOG, is_log) {
-            while self.logged.bursts.dequeue().is_some() {}
+            while self.log_input.bursts.dequeue().is_some() {}
             if compass::IS_BUILT_IN {
                 set_logging(is_log);
-                while self.logged.readings.dequeue().is_some() {}
+                while self.log_input.readings.dequeue().is_some() {}
             }
             self.sender.restart(BURST_COUNT.load(Ordering::Relaxed));
         }
@@ -286,7 +281,7 @@ fn put_text(
 /// Writes the flight log's frames, and copies the pipeline for it when a state is due.
 fn put_log(
     sender: &mut Sender,
-    logged: &mut Logged,
+    log_input: &mut LogInput,
     estimation: &mut impl Mutex<T = Estimation>,
     snapshot: Option<&Snapshot>,
     now_us: u64,
@@ -316,7 +311,7 @@ fn put_log(
             sender.put_heading(now_us, TimedHeading { t_us, estimate }, output);
         }
     }
-    let Logged { bursts, readings } = logged;
+    let LogInput { bursts, readings } = log_input;
     sender.fill(now_us, output, || bursts.dequeue(), || readings.dequeue());
 }
 

@@ -41,8 +41,8 @@ impl BurstReader {
             return false;
         }
         match self.mode {
-            Mode::Starting => self.await_first_edge(),
-            Mode::Edges | Mode::Polling => self.start_without_edge(timebase),
+            Mode::Disabled => self.await_first_edge(),
+            Mode::FirstEdge | Mode::Edges | Mode::Polling => self.start_without_edge(timebase),
         }
         false
     }
@@ -53,13 +53,14 @@ impl BurstReader {
         clocks::restore();
         self.latch(BoardFlags::INTERNAL_CLOCK);
         if self.mode == Mode::Edges {
-            self.shortest_period_us = self.shortest_period_us();
+            self.set_shortest_period();
         }
     }
 
     /// Unmasks the edges, after the reader was enabled.
     fn await_first_edge(&mut self) {
-        self.begin_edges();
+        self.load_set_up();
+        self.mode = Mode::FirstEdge;
         self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         exti().pr().write(|w| w.pr1().clear_bit_by_one());
         exti().imr().write(|w| w.mr1().set_bit());
@@ -68,7 +69,7 @@ impl BurstReader {
 
     /// Starts a burst by time, because no edge came.
     fn start_without_edge(&mut self, timebase: &mut Timebase) {
-        if self.mode == Mode::Edges {
+        if self.mode != Mode::Polling {
             self.poll_instead_of_edges();
         }
         self.start_burst(timebase::now(), timebase);

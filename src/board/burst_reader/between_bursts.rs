@@ -13,9 +13,9 @@ use crate::compass;
 use crate::fault::BurstStep;
 
 impl BurstReader {
-    /// Handles SPI1, which [`request_check`](super::request_check) pends. If the bus is free,
+    /// Handles SPI1, which `request_transaction` in `link.rs` pends. If the bus is free,
     /// starts the requested transfer with the compass, or else a check of some settings.
-    pub fn on_transfer_request(&mut self) {
+    pub fn on_transaction_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
@@ -56,7 +56,9 @@ impl BurstReader {
     pub(super) fn await_next_burst(&mut self) {
         let next_us = match self.mode {
             Mode::Polling => POLL_AFTER_CHECK_US,
-            Mode::Starting | Mode::Edges => SILENCE_DEADLINE_US - BURST_DEADLINE_US,
+            Mode::Disabled | Mode::FirstEdge | Mode::Edges => {
+                SILENCE_DEADLINE_US - BURST_DEADLINE_US
+            }
         };
         timebase::set_burst_alarm(timebase::now().wrapping_add(next_us));
     }

@@ -8,8 +8,6 @@
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering, compiler_fence};
 
-use stm32f4xx_hal::pac::Interrupt;
-
 use super::{
     BurstReader, Transaction, dma, enable_event_interrupts, i2c1, mask_unexpected_event, send_stop,
 };
@@ -83,7 +81,7 @@ impl CompassTransfers {
         unsafe { *TRANSFER_SLOT.transfer.get() = transfer };
         compiler_fence(Ordering::Release);
         TRANSFER_SLOT.state.store(REQUESTED, Ordering::Relaxed);
-        super::request_check();
+        super::request_transaction();
     }
 
     /// Takes the outcome of the transfer: `work` gets it, and the time of the transfer's start on
@@ -99,7 +97,7 @@ impl CompassTransfers {
             HUNG => Outcome::Hung,
             REQUESTED => {
                 // The bus was not free.
-                cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
+                super::request_transaction();
                 return None;
             }
             _ => return None,
@@ -193,9 +191,8 @@ impl BurstReader {
     }
 
     /// Ends a read. Bytes that came with a bus error do not count.
-    pub(super) fn end_compass_read(&mut self) {
-        let is_suspect = core::mem::take(&mut self.is_suspect);
-        let state = if is_suspect { NO_ANSWER } else { READ };
+    pub(super) fn end_compass_read(&self) {
+        let state = if self.is_suspect { NO_ANSWER } else { READ };
         TRANSFER_SLOT.state.store(state, Ordering::Release);
     }
 
@@ -216,7 +213,6 @@ impl BurstReader {
     /// transfer takes 100 µs, and the edge is 600 µs away.
     fn leave_transfer(&mut self) {
         send_stop();
-        self.is_suspect = false;
         self.return_to_bursts();
         if core::mem::take(&mut self.is_edge_waiting) {
             self.count_missed();

@@ -39,7 +39,8 @@ impl Setup {
     /// Returns the shortest time between two edges of the sensor. A sooner edge is a glitch.
     ///
     /// The sensor's clock is accurate to 1 % (product specification §6.6), a clone's to 5 %. The
-    /// core's internal oscillator is up to 8 % slow (STM32F405 datasheet, HSI characteristics).
+    /// core's internal oscillator is up to 8 % slow (STM32F405 datasheet, HSI characteristics). So
+    /// a sixteenth covers the clone, and three sixteenths cover both.
     pub(super) fn shortest_period_us(&self, has_internal_clock: bool) -> u32 {
         let sixteenths = if has_internal_clock { 3 } else { 1 };
         self.period_us - self.period_us * sixteenths / 16
@@ -139,13 +140,13 @@ pub fn take_stale() -> Option<(u64, BoardFlags)> {
     ))
 }
 
-/// Requests the reader to read some settings back now. A requested transfer with the compass takes
-/// the place of that check. Only the attitude task calls this, after a burst, when the bus is free.
+/// Requests a transaction now: the transfer with the compass that waits, or else a check of some
+/// settings. Only the attitude task calls this, after a burst, when the bus is free.
 ///
 /// The request pends the interrupt of SPI1, an unused peripheral. The application binds that
 /// interrupt, at the priority of the others that share the reader, to
-/// [`on_transfer_request`](super::BurstReader::on_transfer_request).
-pub fn request_check() {
+/// [`on_transaction_request`](super::BurstReader::on_transaction_request).
+pub fn request_transaction() {
     cortex_m::peripheral::NVIC::pend(Interrupt::SPI1);
 }
 
@@ -165,7 +166,7 @@ pub fn enable(ready: &Ready, config: &Config) {
         *SETUP.0.get() = Setup::new(config, ready.part, period_us);
     }
     LINK.address.store(ready.address, Ordering::Relaxed);
-    // A fault may have disabled the reader before it saw the wish.
+    // A fault may have disabled the reader before it handled the request.
     LINK.is_pause_wanted.store(false, Ordering::Relaxed);
     LINK.is_enabled.store(true, Ordering::Release);
     // The alarm makes the reader load the set-up, and then unmask the edges.

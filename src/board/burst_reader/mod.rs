@@ -38,7 +38,9 @@ mod settings_check;
 mod transaction;
 
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
-pub use link::{enable, failures, flag_sensor_reset, is_enabled, pause, request_check, take_stale};
+pub use link::{
+    enable, failures, flag_sensor_reset, is_enabled, pause, request_transaction, take_stale,
+};
 pub use port::is_bus_held;
 
 use core::cell::UnsafeCell;
@@ -105,8 +107,10 @@ pub struct BurstReader {
 /// Meaning of the next edge.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Mode {
-    /// The first edge since the reader was enabled.
-    Starting,
+    /// None: the reader is disabled, or the alarm has not unmasked the edges yet.
+    Disabled,
+    /// The start of the first burst: no sample before it is missed.
+    FirstEdge,
     /// The start of the next burst.
     Edges,
     /// The return of the edges, after the alarm has started the bursts.
@@ -135,7 +139,7 @@ impl BurstReader {
             flags: latched_flags,
             latched_flags,
             missed: 0,
-            mode: Mode::Starting,
+            mode: Mode::Disabled,
             failures_in_a_row: 0,
             is_edge_waiting: false,
             next_check: 0,
@@ -168,29 +172,20 @@ impl BurstReader {
     fn on_unexpected_edge(&mut self, count: u32, since_last: u32, timebase: &mut Timebase) {
         match self.mode {
             // The edge was pending when the reader was disabled. The bus is the supervisor's.
-            Mode::Starting if !is_enabled() => return,
-            Mode::Starting => {
-                self.begin_edges();
-                self.start_burst(count, timebase);
-                return;
-            }
-            // A burst under way reads this edge's sample.
-            Mode::Polling => self.return_to_edges(),
+            Mode::Disabled => return,
+            // While polling, a burst under way reads this edge's sample.
+            Mode::FirstEdge | Mode::Polling => self.return_to_edges(),
             Mode::Edges if since_last < self.shortest_period_us => {
                 retained::count(FaultClass::InterruptGlitch);
                 return;
             }
             // The next edge counts this one as missed.
             Mode::Edges if self.step != BurstStep::Idle && self.transaction.is_burst() => return,
-            // The first edge after the reader was enabled: no sample before it is missed.
-            Mode::Edges if self.shortest_period_us == EXAMINE_EVERY_EDGE_US => {
-                self.shortest_period_us = self.shortest_period_us();
-            }
             Mode::Edges => {
-                let mut rest_us = since_last;
-                while rest_us > self.shortest_period_us * 3 / 2 && self.missed < u8::MAX {
+                let mut remaining_us = since_last;
+                while remaining_us > self.shortest_period_us * 3 / 2 && self.missed < u8::MAX {
                     self.count_missed();
-                    rest_us = rest_us.saturating_sub(setup().period_us);
+                    remaining_us = remaining_us.saturating_sub(setup().period_us);
                 }
             }
         }
@@ -299,7 +294,7 @@ impl BurstReader {
             self.end_other_read(timebase);
             return false;
         }
-        if self.is_suspect && self.has_lost_sensor() {
+        if self.is_suspect && self.take_lost_sensor() {
             self.fail(BurstFault::BusError);
             return false;
         }
@@ -330,10 +325,10 @@ impl BurstReader {
     }
 
     /// Returns whether the sensor may have released the bus before the end of a suspect burst: the
-    /// last two bytes are 0xFF.
+    /// last two bytes are 0xFF. The next burst is not suspect.
     #[cold]
     #[inline(never)]
-    fn has_lost_sensor(&mut self) -> bool {
+    fn take_lost_sensor(&mut self) -> bool {
         self.is_suspect = false;
         // SAFETY: the transfer into this buffer is complete, and the buffer is not offered yet.
         let received = unsafe { &*BUFFERS.0[self.buffer as usize].get() };
@@ -343,6 +338,7 @@ impl BurstReader {
     /// Makes the next steps read a burst.
     fn return_to_bursts(&mut self) {
         self.transaction = Transaction::Burst;
+        self.is_suspect = false;
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
         self.pointer = Register::AccelerometerXHigh.address();
         self.step = BurstStep::Idle;
@@ -373,7 +369,7 @@ impl BurstReader {
     }
 
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
-    fn begin_edges(&mut self) {
+    fn load_set_up(&mut self) {
         self.return_to_edges();
         enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
@@ -383,7 +379,7 @@ impl BurstReader {
 
     fn return_to_edges(&mut self) {
         self.mode = Mode::Edges;
-        self.shortest_period_us = self.shortest_period_us();
+        self.set_shortest_period();
         self.silence_us = SILENCE_DEADLINE_US;
         self.latched_flags.remove(BoardFlags::POLLED);
         // A burst under way was still started by the timer.
@@ -393,9 +389,9 @@ impl BurstReader {
     }
 
     #[inline(never)]
-    fn shortest_period_us(&self) -> u32 {
-        let flags = self.latched_flags;
-        setup().shortest_period_us(flags.contains(BoardFlags::INTERNAL_CLOCK))
+    fn set_shortest_period(&mut self) {
+        let has_internal_clock = self.latched_flags.contains(BoardFlags::INTERNAL_CLOCK);
+        self.shortest_period_us = setup().shortest_period_us(has_internal_clock);
     }
 
     /// Reports this condition with every burst from now on.
@@ -422,7 +418,6 @@ impl BurstReader {
         retained::count(failure.class());
         self.flags |= BoardFlags::BUS_FAULT;
         enable_event_interrupts();
-        self.is_suspect = false;
         // After any other fault a START may be pending. The recovery then resets the port.
         let is_bus_known = matches!(fault, BurstFault::NotAcknowledged | BurstFault::BusError);
         if is_bus_known {
@@ -444,7 +439,7 @@ impl BurstReader {
 
     /// Releases the bus to the supervisor. The alarm then publishes a stale snapshot immediately.
     fn disable(&mut self) {
-        self.mode = Mode::Starting;
+        self.mode = Mode::Disabled;
         self.shortest_period_us = EXAMINE_EVERY_EDGE_US;
         exti().imr().reset();
         i2c1().cr2().write(|w| with_clock(w));

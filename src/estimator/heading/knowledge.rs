@@ -23,7 +23,7 @@ pub enum CompassKnowledge {
 }
 
 impl CompassKnowledge {
-    /// Every level.
+    /// Every level. Flight logs hold the index, so a new level comes last.
     pub(crate) const ALL: [Self; 3] = [Self::Factory, Self::Calibrated, Self::HardIron];
 
     /// Returns the knowledge of this name: `factory`, `hard-iron` or `calibrated`.

@@ -34,8 +34,8 @@
 //!
 //! # Cost
 //!
-//! Deadline: one sample. With the tilt filter a sample costs 461 instructions on average on a
-//! Cortex-M4F at 1 kHz, and 879 at worst. Below 250 Hz a whole step runs with one sample.
+//! Deadline: one sample. `docs/results.md` has the instructions that a sample costs with both
+//! filters. Below 250 Hz a whole step runs with one sample.
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -135,7 +135,7 @@ impl HeadingEstimate {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Heading {
     tuning: &'static HeadingTuning,
-    phase: FieldSlice,
+    next_slice: FieldSlice,
     /// Place of the present interval.
     present: u8,
     /// True if the present interval has an earth step.
@@ -220,7 +220,7 @@ impl Heading {
             declination_rad: 0.0,
             state: [0.0; STATES],
             covariance: FieldCovariance::ZERO,
-            phase: FieldSlice::Idle,
+            next_slice: FieldSlice::Idle,
             elapsed_s: 0.0,
             late_turn_rad: 0.0,
             intervals: [FieldInterval::EMPTY; 2],
@@ -331,7 +331,7 @@ impl Heading {
     /// Visits every field but the tuning, which is static.
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         self.knowledge.visit_state(visitor);
-        self.phase.visit_state(visitor);
+        self.next_slice.visit_state(visitor);
         let mut present = usize::from(self.present);
         visitor.index(&mut present, 2);
         self.present = present as u8;
@@ -428,17 +428,19 @@ impl Heading {
     }
 
     /// Adds a reading of the compass, in body axes. Its motion was `age_us` before that of the last
-    /// sample of the last update. Readings that no compass delivers are ignored, and
-    /// those that are older than a second.
+    /// sample of the last update. Ignores readings that no compass delivers, and those that are
+    /// older than a second.
     ///
-    /// The reading takes effect with the next sample.
+    /// The reading takes effect with the next sample. A reading that waits for it is replaced.
     pub fn add_field(&mut self, field: MagneticField, age_us: u32) {
         let [x, y, z] = field.ut;
         let size = x.abs() + y.abs() + z.abs();
         // A NaN fails the comparison.
-        self.has_reading = size < LARGEST_FIELD_UT && age_us <= OLDEST_READING_US;
-        self.reading_ut = field.ut;
-        self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
+        if size < LARGEST_FIELD_UT && age_us <= OLDEST_READING_US {
+            self.has_reading = true;
+            self.reading_ut = field.ut;
+            self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
+        }
     }
 
     /// Returns whether the filter needs each sample: true from the first reading on.
@@ -463,11 +465,11 @@ impl Heading {
     }
 
     /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one. Runs
-    /// one slice of a step at most, unless samples are rare.
+    /// one slice of a step at most; all that is left if samples are rare or the next step is due.
     #[inline]
     pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
         if kalman.are_tilt_and_velocity_reset()
-            && (self.covariance.is_correlated() || self.phase != FieldSlice::Idle)
+            && (self.covariance.is_correlated() || self.next_slice != FieldSlice::Idle)
         {
             self.reset_with_tilt();
         }
@@ -485,16 +487,16 @@ impl Heading {
         if self.has_reading {
             self.add_reading(kalman, dt_s);
             // A slice can wait, unless samples are rare, or the step has to end.
-            let can_wait = self.phase != FieldSlice::Waiting && !kalman.is_step_pending();
+            let can_wait = self.next_slice != FieldSlice::Waiting && !kalman.is_step_pending();
             if dt_s < LONG_SAMPLE_PERIOD_S && can_wait {
                 return;
             }
         }
-        match self.phase {
+        match self.next_slice {
             FieldSlice::Idle => {}
             FieldSlice::Waiting => {
                 if !kalman.is_step_under_way() {
-                    self.phase = FieldSlice::Propagate(0);
+                    self.next_slice = FieldSlice::Propagate(0);
                     if dt_s > LONGEST_SLICED_S {
                         self.run_slices(kalman, dt_s, false);
                     }
@@ -568,7 +570,7 @@ impl Heading {
             1 + ((dt_s * (1.0 / SLICE_PERIOD_S)) as u32).min(MOST_SLICES)
         };
         for _ in 0..slices {
-            if self.phase == FieldSlice::Idle {
+            if self.next_slice == FieldSlice::Idle {
                 return;
             }
             self.slice(kalman);
@@ -581,7 +583,7 @@ impl Heading {
         self.has_interval = false;
         *self.closed_mut() = FieldInterval::EMPTY;
         self.present ^= 1;
-        self.phase = FieldSlice::Waiting;
+        self.next_slice = FieldSlice::Waiting;
     }
 
     /// Forgets the field after a reset of the tilt, and the correlations with the tilt filter: it
@@ -593,6 +595,6 @@ impl Heading {
         self.reset_field();
         self.intervals = [FieldInterval::EMPTY; 2];
         self.has_interval = false;
-        self.phase = FieldSlice::Idle;
+        self.next_slice = FieldSlice::Idle;
     }
 }

@@ -77,10 +77,10 @@ pub(super) enum FieldSlice {
 }
 
 impl Heading {
-    /// Runs a slice. Inlined into a loop, each call would compute the addresses of every phase.
+    /// Runs a slice. Inlined into a loop, each call would compute the addresses of every slice.
     #[inline(never)]
     pub(super) fn slice(&mut self, kalman: &Kalman) {
-        self.phase = match self.phase {
+        self.next_slice = match self.next_slice {
             FieldSlice::Idle => FieldSlice::Idle,
             FieldSlice::Waiting => FieldSlice::Waiting,
             FieldSlice::Propagate(row) => self.propagate(kalman, row),
@@ -352,7 +352,7 @@ fn dot(left: &[f32; GYROSCOPE], right: &[f32]) -> f32 {
 }
 
 impl FieldSlice {
-    /// Visits the phase.
+    /// Visits the slice.
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         let (mut kind, first, second) = match *self {
             Self::Idle => (0, 0, 0),

@@ -21,7 +21,7 @@
 //! | `Confirmed` | 4° under suspicion, else none | yes |
 //! | `Drifted` | 4° | yes |
 //! | `Stored` | 4° and the bank that the force shows | yes |
-//! | `Suspect` | 6.4° and that bank | near the reference |
+//! | `Suspect` | 6.4° and that bank | within 1 °/s of the reference |
 //!
 //! These events change the state, each from any state unless the table limits it. All others keep
 //! it. The last three are judged after each correction (`judge_bias`). "Near" is within 0.2 °/s of

@@ -166,7 +166,7 @@ impl Kalman {
     /// `dt_s` after the last one: in a pause the body may turn.
     pub(super) fn start_from(&mut self, sample: &Sample, shows_gravity: bool, dt_s: f32) {
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
-        let readings = self.rest_detector.readings(self.tuning);
+        let readings = self.rest_detector.stationary_readings(self.tuning);
         if let (Tilt::Restarting, Some(readings)) = (self.tilt, readings)
             && dt_s < self.pause_after_s
         {

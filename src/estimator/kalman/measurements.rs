@@ -80,7 +80,7 @@ impl Kalman {
         let duration_s = self.step.duration_s();
         self.recent
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
-        let stationary = self.rest_detector.readings(self.tuning);
+        let stationary = self.rest_detector.stationary_readings(self.tuning);
         let stationary =
             stationary.filter(|_| !self.is_armed && (self.has_rested || self.is_rest_certain()));
         self.is_first_rest = stationary.is_some() && !self.has_rested;

@@ -131,6 +131,8 @@ pub use prior::{AccelerometerKnowledge, GyroscopeKnowledge};
 pub use tuning::Tuning;
 pub use unseen::PAUSE_RATE_RAD_S;
 pub(crate) use unseen::{HIDDEN_SHARE, LARGEST_HIDDEN_TURN_RAD, LONG_STEP_S};
+#[cfg(feature = "firmware")]
+pub(crate) use warm_start::VALUES;
 pub use warm_start::WarmStart;
 
 use super::filter::Filter;
@@ -196,7 +198,7 @@ pub struct Kalman {
     /// True if the tilt has been checked for the covariance step that is due.
     is_tilt_checked: bool,
     /// True if the bias is known: a rest, of this run or an earlier one, has measured it, and its
-    /// σ is small. A contradicted one is also near that measurement.
+    /// σ is small. A contradicted one is also within 1 °/s of that measurement.
     is_bias_known: bool,
     /// True if a rest of this run has measured the bias.
     has_rested: bool,
@@ -366,7 +368,8 @@ impl Kalman {
         filter
     }
 
-    /// Sets the delay of the sensor, s. The attitude is extrapolated by it to the sample's time.
+    /// Sets the delay of the sensor, s, from 0. The attitude is extrapolated by it to the sample's
+    /// time. The delay has to be finite, because an attitude would be NaN with it.
     pub const fn set_delay(&mut self, delay_s: f32) {
         self.delay_s = delay_s;
     }
@@ -444,7 +447,7 @@ impl Kalman {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
                 Progress::Propagated | Progress::Checked => self.update_extra_tilt(),
-                Progress::Relaxing => {
+                Progress::BeforeMeasurements => {
                     self.admit_changed_bias();
                     self.check_rest_drift();
                     self.relax_parameter(self.step.duration_s());

@@ -4,6 +4,7 @@
 //! Each sample adds its increments in body axes, which is cheap. Every few samples an *earth step*
 //! turns the sums to earth axes, where gravity and velocity are.
 
+use super::prior::FIRST_WITH_PRIOR;
 use super::propagation::{DYNAMIC, PARAMETERS, Transition};
 use super::tuning::{
     LARGEST_ACCELEROMETER_BIAS_M_S2, LARGEST_GYROSCOPE_BIAS_RAD_S, LARGEST_MATRIX_ERROR,
@@ -103,16 +104,17 @@ impl NominalState {
         self.set_gyroscope_bias(self.gyroscope_bias_rad_s);
     }
 
-    /// Scales the deviation of a parameter from that of a perfect sensor. The gyroscope's bias, the
-    /// first three parameters, stays.
+    /// Scales the deviation of a parameter from that of a perfect sensor. The gyroscope's bias
+    /// stays.
     pub(super) fn scale_parameter(&mut self, parameter: usize, factor: f32) {
-        let Some(index) = parameter.checked_sub(3) else {
+        let Some(index) = parameter.checked_sub(FIRST_WITH_PRIOR) else {
             return;
         };
         let (row, column) = (index / 3, index % 3);
         let perfect = if row == column { 1.0 } else { 0.0 };
         let vector = match self.gyroscope_matrix.get_mut(row) {
             Some(vector) => vector,
+            // The fourth row of the parameters.
             None => &mut self.accelerometer_bias_m_s2,
         };
         let entry = match column {

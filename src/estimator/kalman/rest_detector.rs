@@ -1,8 +1,15 @@
-//! Stationary detector of the filter: readings that have not changed for a while, at about one g.
+//! Rest detector of the filter: readings that have not changed for a while, at about one g.
 //!
 //! Steady motion gives the same readings. The filter therefore uses the detector's readings
 //! only as far as its covariance allows. The detector of the calibrations, `StationaryDetector`, is
 //! another: it tests against the sensor's own noise.
+//!
+//! | term | time without motion | meaning |
+//! |---|---|---|
+//! | still | 0.3 s | nothing shakes |
+//! | settled | 0.5 s | the averages hardly contain what came before |
+//! | stationary | 0.8 s, later 2 s | and about one g: the readings may be those of a rest |
+//! | rest | – | stationary, and they fit bias and tilt (`measurements.rs`) |
 
 use super::tuning::{LARGEST_GYROSCOPE_BIAS_RAD_S, Tuning};
 use crate::attitude::Vector3;
@@ -223,7 +230,7 @@ impl RestDetector {
     }
 
     /// Returns the mean readings, if the sensor is stationary.
-    pub(super) fn readings(&self, tuning: &Tuning) -> Option<RestReadings> {
+    pub(super) fn stationary_readings(&self, tuning: &Tuning) -> Option<RestReadings> {
         const LEAST: f32 = (1.0 - GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         const GREATEST: f32 = (1.0 + GRAVITY_TOLERANCE) * STANDARD_GRAVITY_M_S2;
         let force_m_s2 = self.average_force_m_s2;
@@ -286,7 +293,7 @@ mod tests {
             detector.update(rate, force, velocity, STEP_S, false, &Tuning::DEFAULT);
             assert_ne!(detector.still_s(), before_s, "step {step}");
             assert!(detector.still_s() < LONGEST_STILL_S);
-            assert!(step < 100 || detector.readings(&Tuning::DEFAULT).is_some());
+            assert!(step < 100 || detector.stationary_readings(&Tuning::DEFAULT).is_some());
         }
     }
 }

@@ -39,7 +39,7 @@ enum CovarianceSlice {
     /// F·P·Fᵀ: the block P_pd into P_dd.
     CompleteDynamic,
     /// The caller lets a parameter return towards its prior.
-    Relax,
+    Prepare,
     /// The measurements are due.
     Measure,
     /// Column, gain and correction of this measurement.
@@ -62,7 +62,7 @@ pub(super) enum Progress {
     /// The covariance is propagated to the interval's end; the return to the priors comes next.
     Propagated,
     /// A parameter may return towards its prior now.
-    Relaxing,
+    BeforeMeasurements,
     /// The prediction is complete: add the measurements now.
     Predicted,
     /// The covariance is complete, and its numbers are usable.
@@ -92,7 +92,7 @@ pub(super) struct CovarianceStep {
     pub(super) covariance: Covariance,
     /// The correction δ of the error state.
     pub(super) correction: Column,
-    phase: CovarianceSlice,
+    next_slice: CovarianceSlice,
     transition: Transition,
     duration_s: f32,
     measurements: [Measurement; MOST_MEASUREMENTS],
@@ -110,7 +110,7 @@ impl CovarianceStep {
         Self {
             covariance: Covariance::ZERO,
             correction: Column::ZERO,
-            phase: CovarianceSlice::Idle,
+            next_slice: CovarianceSlice::Idle,
             transition: Transition::IDENTITY,
             duration_s: 0.0,
             measurements: [Measurement::BLANK; MOST_MEASUREMENTS],
@@ -144,7 +144,7 @@ impl CovarianceStep {
     /// nominal state.
     #[inline]
     pub(super) fn is_under_way(&self) -> bool {
-        self.phase != CovarianceSlice::Idle
+        self.next_slice != CovarianceSlice::Idle
     }
 
     /// Returns the tilt variance, both axes together, rad².
@@ -156,12 +156,12 @@ impl CovarianceStep {
     /// Drops the rest of the step. Completes the measurement that is being applied first, because
     /// half of one can make the covariance indefinite: at most eight pairs of rows.
     pub(super) fn abandon(&mut self) {
-        if let CovarianceSlice::CorrectRows(_, row) = self.phase {
+        if let CovarianceSlice::CorrectRows(_, row) = self.next_slice {
             for row in row..LAST_ROW / 2 + 1 {
                 self.correct_row_pair(row);
             }
         }
-        self.phase = CovarianceSlice::Idle;
+        self.next_slice = CovarianceSlice::Idle;
     }
 
     /// Begins a step over an interval that adds these variances to each axis of tilt (rad²) and
@@ -184,7 +184,7 @@ impl CovarianceStep {
             .add_to_dynamic(VELOCITY_NORTH, velocity_noise);
         self.covariance
             .add_to_dynamic(VELOCITY_EAST, velocity_noise);
-        self.phase = CovarianceSlice::PropagateCross(0);
+        self.next_slice = CovarianceSlice::PropagateCross(0);
     }
 
     /// Queues a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
@@ -197,14 +197,14 @@ impl CovarianceStep {
 
     /// Runs one slice.
     pub(super) fn slice(&mut self) -> Progress {
-        match self.phase {
+        match self.next_slice {
             CovarianceSlice::Idle => return Progress::Idle,
             CovarianceSlice::PropagateCross(row) => {
                 let end = row + CROSS_ROWS;
                 for row in row..end {
                     self.covariance.propagate_cross(row, &self.transition);
                 }
-                self.phase = if end < PARAMETERS {
+                self.next_slice = if end < PARAMETERS {
                     CovarianceSlice::PropagateCross(end)
                 } else {
                     CovarianceSlice::PropagateParameters(0)
@@ -214,7 +214,7 @@ impl CovarianceStep {
                 // A short row of the triangle is paired with a long one, so that all slices take
                 // the same time.
                 self.covariance.propagate_parameters(row, &self.transition);
-                self.phase = if row < LAST_ROW / 2 {
+                self.next_slice = if row < LAST_ROW / 2 {
                     self.covariance
                         .propagate_parameters(LAST_ROW - row, &self.transition);
                     CovarianceSlice::PropagateParameters(row + 1)
@@ -224,22 +224,22 @@ impl CovarianceStep {
             }
             CovarianceSlice::CompleteDynamic => {
                 self.covariance.complete_dynamic(&self.transition);
-                self.phase = CovarianceSlice::Relax;
+                self.next_slice = CovarianceSlice::Prepare;
                 return Progress::Propagated;
             }
-            CovarianceSlice::Relax => {
-                self.phase = CovarianceSlice::Measure;
-                return Progress::Relaxing;
+            CovarianceSlice::Prepare => {
+                self.next_slice = CovarianceSlice::Measure;
+                return Progress::BeforeMeasurements;
             }
             CovarianceSlice::Measure => {
-                self.phase = CovarianceSlice::Correct(0);
+                self.next_slice = CovarianceSlice::Correct(0);
                 return Progress::Predicted;
             }
-            CovarianceSlice::Correct(index) => self.phase = self.apply_measurement(index),
+            CovarianceSlice::Correct(index) => self.next_slice = self.apply_measurement(index),
             CovarianceSlice::CorrectRows(index, row) => {
                 self.correct_row_pair(row);
                 self.correct_row_pair(row + 1);
-                self.phase = if row + 2 <= LAST_ROW / 2 {
+                self.next_slice = if row + 2 <= LAST_ROW / 2 {
                     CovarianceSlice::CorrectRows(index, row + 2)
                 } else {
                     CovarianceSlice::Correct(index + 1)
@@ -247,14 +247,14 @@ impl CovarianceStep {
             }
             CovarianceSlice::Check => {
                 if !(self.covariance.is_sound() && self.correction.is_sound()) {
-                    self.phase = CovarianceSlice::Idle;
+                    self.next_slice = CovarianceSlice::Idle;
                     return Progress::Unsound;
                 }
-                self.phase = CovarianceSlice::Done;
+                self.next_slice = CovarianceSlice::Done;
                 return Progress::Checked;
             }
             CovarianceSlice::Done => {
-                self.phase = CovarianceSlice::Idle;
+                self.next_slice = CovarianceSlice::Idle;
                 return Progress::Corrected;
             }
         }
@@ -271,7 +271,7 @@ impl CovarianceStep {
         }
     }
 
-    /// Applies the measurement of this index to δ and P_dd. Returns the next phase.
+    /// Applies the measurement of this index to δ and P_dd. Returns the next slice.
     #[inline(never)]
     fn apply_measurement(&mut self, index: usize) -> CovarianceSlice {
         let Some(measurement) = self.measurement(index) else {
@@ -299,7 +299,7 @@ impl CovarianceStep {
         let Self {
             covariance,
             correction,
-            phase,
+            next_slice,
             transition,
             duration_s,
             measurements,
@@ -309,7 +309,7 @@ impl CovarianceStep {
         } = self;
         covariance.visit_state(visitor);
         correction.visit_state(visitor);
-        phase.visit_state(visitor);
+        next_slice.visit_state(visitor);
         transition.visit_state(visitor);
         visitor.f32(duration_s);
         for measurement in measurements {
@@ -362,7 +362,7 @@ impl CovarianceSlice {
             Self::CorrectRows(index, row) => (6, index, row),
             Self::Check => (7, 0, 0),
             Self::Done => (8, 0, 0),
-            Self::Relax => (9, 0, 0),
+            Self::Prepare => (9, 0, 0),
         };
         visitor.index(&mut kind, 10);
         // A row or index out of range does no harm: both are checked where they are used.
@@ -377,7 +377,7 @@ impl CovarianceSlice {
             6 => Self::CorrectRows(first, second),
             7 => Self::Check,
             8 => Self::Done,
-            9 => Self::Relax,
+            9 => Self::Prepare,
             _ => Self::Idle,
         };
     }

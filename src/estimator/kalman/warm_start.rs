@@ -5,7 +5,7 @@ use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use crate::attitude::{Quaternion, Vector3};
 
 /// Number of values of a [`WarmStart`].
-const VALUES: usize = 15;
+pub(crate) const VALUES: usize = 15;
 /// Largest error of the squared length of the attitude's quaternion.
 const LARGEST_LENGTH_ERROR: f32 = 1.0e-3;
 /// Largest magnitude of a value, in its unit: that of the squared velocity at 1 km/s.

@@ -33,7 +33,7 @@ const PIECES_PER_CALL: usize = 4;
 pub struct Sender {
     state: Option<StateCopy>,
     /// The heading filter's state follows the pipeline's.
-    owes_heading: bool,
+    is_heading_pending: bool,
     /// Settings of the last pipeline that was copied.
     settings: Option<Settings>,
     heading: Option<TimedHeading>,
@@ -81,7 +81,7 @@ impl Sender {
     pub const fn new(next_number: u32) -> Self {
         Self {
             state: None,
-            owes_heading: false,
+            is_heading_pending: false,
             settings: None,
             heading: None,
             next_heading_us: 0,
@@ -114,14 +114,14 @@ impl Sender {
             sent: 0,
             length: 0,
         });
-        self.owes_heading = true;
+        self.is_heading_pending = true;
     }
 
     /// Returns whether the sender needs a copy of the heading filter now: the pipeline's state has
     /// been sent.
     pub fn wants_heading(&self) -> bool {
         let is_sent = |state: &StateCopy| state.length > 0 && state.sent >= state.length;
-        self.owes_heading && self.state.as_ref().is_some_and(is_sent)
+        self.is_heading_pending && self.state.as_ref().is_some_and(is_sent)
     }
 
     /// Copies the heading filter before the burst of this number, where the compass's next reading
@@ -129,7 +129,7 @@ impl Sender {
     /// first reading there is nothing to send. [`measure_state`](Self::measure_state) must follow.
     #[inline(never)]
     pub fn copy_heading(&mut self, filter: Option<&Heading>, next_reading: u32, next_number: u32) {
-        self.owes_heading = false;
+        self.is_heading_pending = false;
         if next_reading == 0 {
             return;
         }

@@ -20,10 +20,9 @@ use super::parameter::{PARAMETERS, Parameter};
 use super::receiver::Receiver;
 use super::wire::{COMPONENT, Extended, SYSTEM};
 use crate::health::Flags;
+use crate::telemetry::{TEXT_FRAME_LENGTH, TEXT_LENGTH};
 use crate::units::MagneticField;
 
-/// Letters in one STATUSTEXT.
-const TEXT_LENGTH: usize = 50;
 /// Time without a measurement after which the module is in a critical state, µs.
 const LONGEST_OUTAGE_US: u64 = 500_000;
 /// Time between two heartbeats, and between two SYS_STATUS if no sensor's health changes, µs.
@@ -32,8 +31,8 @@ const HEARTBEAT_PERIOD_US: u64 = 1_000_000;
 const SHORTEST_STATUS_PERIOD_US: u64 = 100_000;
 /// Time between two VFR_HUD, µs.
 const HUD_PERIOD_US: u64 = 500_000;
-/// Length of a frame's header and checksum, in bytes.
-const OVERHEAD: usize = 12;
+/// Header and checksum, the fields of version 1, and the two that version 2 has appended.
+const _: () = assert!(TEXT_FRAME_LENGTH == 12 + STATUSTEXT_DATA::ENCODED_LEN + 3);
 
 /// MAVLink session of the module.
 #[derive(Debug, Clone)]
@@ -190,7 +189,7 @@ impl Session {
         } else {
             text.len() / TEXT_LENGTH + 1
         };
-        if !output.has_room(chunks * (OVERHEAD + STATUSTEXT_DATA::ENCODED_LEN + 3)) {
+        if !output.has_room(chunks * TEXT_FRAME_LENGTH) {
             return false;
         }
         let id = if chunks > 1 {

@@ -16,7 +16,7 @@ const COLUMNS: usize = 98;
 /// Filters in the tables of accuracy: key, text, and key of the cost.
 const FILTERS: [(&str, &str); 4] = [
     ("kalman", "`kalman`, the default"),
-    ("vqf", "VQF (`vqf` 0.4.1, two bugs fixed)"),
+    ("vqf", "the crate `vqf` 0.4.1, two of its four faults fixed"),
     (
         "axis-kalman",
         "`axis-kalman`, the tutorial's with one filter per axis",
@@ -80,7 +80,7 @@ fn summary(data: &Data) -> Result<String, String> {
         let (ours, vqf) = (median(section, "kalman")?, median(section, "vqf")?);
         let _ = writeln!(
             text,
-            "| tilt error, median of {place} | {ours}° (VQF: {vqf}°){tuning} |"
+            "| tilt error, median of {place} | {ours}° (crate `vqf`: {vqf}°){tuning} |"
         );
     }
     let rows = [

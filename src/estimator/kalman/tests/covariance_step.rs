@@ -134,7 +134,7 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
             match step.slice() {
                 Progress::Working
                 | Progress::Propagated
-                | Progress::Relaxing
+                | Progress::BeforeMeasurements
                 | Progress::Checked => {}
                 Progress::Predicted => {
                     for (state, innovation, variance) in &measurements {
