@@ -114,12 +114,11 @@ fn check_names(csv: &str) {
         "unknown,resting.csv",
         "wrong,b.csv",
     ];
-    const FILTERS: [&str; 8] = [
+    const FILTERS: [&str; 7] = [
         "kalman",
         "axis-kalman",
         "classic",
         "vqf",
-        "vqf as is",
         "fusion",
         "madgwick",
         "mahony",

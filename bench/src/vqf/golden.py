@@ -6,10 +6,14 @@ pip install vqf==2.1.2 numpy; python golden.py > golden.csv
 import numpy as np
 from vqf import VQF
 
-FIELD_RATE_HZ = 100
 SECONDS = 100
 NOTED_S = 5
-CASES = [(200, (0.5, -0.7, 0.3)), (1000, (0.5, -0.7, 0.3)), (1000, (4.0, -3.0, 1.0))]
+SMALL_BIAS_DEG_S = (0.5, -0.7, 0.3)
+LARGE_BIAS_DEG_S = (4.0, -3.0, 1.0)
+# Step of the samples in µs, samples for each reading of the field, and bias.
+CASES = [(10_000, 1, SMALL_BIAS_DEG_S), (3_500, 3, SMALL_BIAS_DEG_S),
+         (1_000, 10, SMALL_BIAS_DEG_S), (3_500, 3, LARGE_BIAS_DEG_S),
+         (1_000, 10, LARGE_BIAS_DEG_S)]
 DISTURBANCE_UT = (15.0, -10.0, 8.0)
 
 
@@ -60,19 +64,21 @@ def signal(t, bias_deg_s):
 
 
 def main():
-    print("rate_hz,t_s,w6,x6,y6,z6,w9,x9,y9,z9,bias_x_rad_s,bias_y_rad_s,bias_z_rad_s")
-    for rate_hz, bias_deg_s in CASES:
-        filter = VQF(1.0 / rate_hz, 1.0 / rate_hz, 1.0 / FIELD_RATE_HZ)
-        for index in range(1, SECONDS * rate_hz + 1):
-            rate, force, field = signal(index / rate_hz, bias_deg_s)
+    print("step_us,index,w6,x6,y6,z6,w9,x9,y9,z9,bias_x_rad_s,bias_y_rad_s,bias_z_rad_s")
+    for step_us, samples_a_field, bias_deg_s in CASES:
+        step_s = step_us * 1e-6
+        filter = VQF(step_s, step_s, step_s * samples_a_field)
+        noted = NOTED_S * 1_000_000 // step_us
+        for index in range(1, SECONDS * 1_000_000 // step_us + 1):
+            rate, force, field = signal(index * step_s, bias_deg_s)
             filter.updateGyr(rate)
             filter.updateAcc(force)
-            if index % (rate_hz // FIELD_RATE_HZ) == 0:
+            if index % samples_a_field == 0:
                 filter.updateMag(field)
-            if index % (NOTED_S * rate_hz) == 0:
+            if index % noted == 0:
                 row = [*filter.getQuat6D(), *filter.getQuat9D(), *filter.getBiasEstimate()[0]]
                 numbers = ",".join(f"{number:.12f}" for number in row)
-                print(f"{rate_hz},{index // rate_hz},{numbers}")
+                print(f"{step_us},{index},{numbers}")
 
 
 if __name__ == "__main__":

@@ -10,14 +10,17 @@ use aplomb_models::motion::geometry::{Quaternion, Vector, add, norm, subtract};
 use super::{FORCE_S, Vqf};
 
 const GOLDEN: &str = include_str!("golden.csv");
-const FIELD_RATE_HZ: u32 = 100;
 const SECONDS: u32 = 100;
 const NOTED_S: u32 = 5;
-/// Rate of the samples in Hz, and bias in °/s.
-const CASES: [(u32, Vector); 3] = [
-    (200, [0.5, -0.7, 0.3]),
-    (1_000, [0.5, -0.7, 0.3]),
-    (1_000, [4.0, -3.0, 1.0]),
+const SMALL_BIAS_DEG_S: Vector = [0.5, -0.7, 0.3];
+const LARGE_BIAS_DEG_S: Vector = [4.0, -3.0, 1.0];
+/// Step of the samples in µs, samples for each reading of the field, and bias in °/s.
+const CASES: [(u32, u32, Vector); 5] = [
+    (10_000, 1, SMALL_BIAS_DEG_S),
+    (3_500, 3, SMALL_BIAS_DEG_S),
+    (1_000, 10, SMALL_BIAS_DEG_S),
+    (3_500, 3, LARGE_BIAS_DEG_S),
+    (1_000, 10, LARGE_BIAS_DEG_S),
 ];
 const DISTURBANCE_UT: Vector = [15.0, -10.0, 8.0];
 /// Largest difference of an attitude's component: rounding alone.
@@ -90,42 +93,43 @@ fn distance(found: Quaternion, expected: &[f64]) -> f64 {
     with_sign(1.0).min(with_sign(-1.0))
 }
 
+/// Runs one case through its rows of the golden file, and returns the largest differences of an
+/// attitude's component and of the bias, rad/s.
+fn largest_differences<'a>(
+    (step_us, samples_a_field, bias_deg_s): (u32, u32, Vector),
+    rows: &mut impl Iterator<Item = &'a str>,
+) -> (f64, f64) {
+    let step_s = f64::from(step_us) * 1e-6;
+    let mut filter = Vqf::new(FORCE_S, step_s, step_s * f64::from(samples_a_field));
+    let mut largest = (0.0_f64, 0.0_f64);
+    for index in 1..=SECONDS * 1_000_000 / step_us {
+        let [rate, force, field] = signal(f64::from(index) * step_s, bias_deg_s);
+        filter.update(rate, force);
+        if index % samples_a_field == 0 {
+            filter.update_field(field);
+        }
+        if index % (NOTED_S * 1_000_000 / step_us) != 0 {
+            continue;
+        }
+        let cells = rows.next().unwrap().split(',');
+        let row: Vec<f64> = cells.map(|cell| cell.parse().unwrap()).collect();
+        assert_eq!((row[0], row[1]), (step_us.into(), index.into()));
+        let level = distance(filter.level_attitude(), &row[2..6]);
+        let attitude = level.max(distance(filter.attitude(), &row[6..10]));
+        let bias = norm(subtract(filter.bias_rad_s(), [row[10], row[11], row[12]]));
+        largest = (largest.0.max(attitude), largest.1.max(bias));
+    }
+    largest
+}
+
 #[test]
 fn attitudes_and_biases_are_those_of_the_authors_package() {
     let mut rows = GOLDEN.lines().skip(1);
-    let mut largest = (0.0_f64, 0.0_f64);
-    for (rate_hz, bias_deg_s) in CASES {
-        let step_s = 1.0 / f64::from(rate_hz);
-        let mut filter = Vqf::new(FORCE_S, step_s, 1.0 / f64::from(FIELD_RATE_HZ));
-        for index in 1..=SECONDS * rate_hz {
-            let t_s = f64::from(index) / f64::from(rate_hz);
-            let [rate, force, field] = signal(t_s, bias_deg_s);
-            filter.update(rate, force);
-            if index % (rate_hz / FIELD_RATE_HZ) == 0 {
-                filter.update_field(field);
-            }
-            if index % (NOTED_S * rate_hz) != 0 {
-                continue;
-            }
-            let row: Vec<f64> = rows
-                .next()
-                .unwrap()
-                .split(',')
-                .map(|cell| cell.parse().unwrap())
-                .collect();
-            assert_eq!((row[0], row[1]), (f64::from(rate_hz), t_s));
-            let level = distance(filter.level_attitude(), &row[2..6]);
-            let attitude = level.max(distance(filter.attitude(), &row[6..10]));
-            let bias = norm(subtract(filter.bias_rad_s(), [row[10], row[11], row[12]]));
-            let place = format!("{rate_hz} Hz, {bias_deg_s:?}, {t_s} s");
-            assert!(attitude < ATTITUDE_TOLERANCE, "{place}: {attitude}");
-            assert!(bias < BIAS_TOLERANCE_RAD_S, "{place}: {bias} rad/s");
-            largest = (largest.0.max(attitude), largest.1.max(bias));
-        }
+    for case in CASES {
+        let (attitude, bias) = largest_differences(case, &mut rows);
+        println!("{case:?}: {attitude:e}, {bias:e} rad/s");
+        assert!(attitude < ATTITUDE_TOLERANCE, "{case:?}: {attitude}");
+        assert!(bias < BIAS_TOLERANCE_RAD_S, "{case:?}: {bias} rad/s");
     }
     assert_eq!(rows.next(), None);
-    println!(
-        "largest differences: {:e}, {:e} rad/s",
-        largest.0, largest.1
-    );
 }
