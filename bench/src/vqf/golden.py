@@ -6,8 +6,8 @@ pip install vqf==2.1.2 numpy; python golden.py > golden.csv
 import numpy as np
 from vqf import VQF
 
-SECONDS = 100
-NOTED_S = 5
+SECONDS = 280
+NOTED_S = 10
 SMALL_BIAS_DEG_S = (0.5, -0.7, 0.3)
 LARGE_BIAS_DEG_S = (4.0, -3.0, 1.0)
 # Step of the samples in µs, samples for each reading of the field, and bias.
@@ -19,7 +19,7 @@ DISTURBANCE_UT = (15.0, -10.0, 8.0)
 
 def envelope(t):
     """Strength of the motion and its derivative: rest, motion, rest, motion."""
-    for start, end in ((6.0, 30.0), (36.0, 110.0)):
+    for start, end in ((6.0, 30.0), (42.0, 290.0)):
         if start <= t < end:
             omega = np.pi / 6.0
             if t < start + 3.0:
@@ -40,6 +40,33 @@ def angle(t, offset, size, frequency):
             size * (growth * sine + strength * frequency * cosine))
 
 
+def turned(first, second, angle_rad):
+    """Two coordinates after a turn from the first to the second."""
+    sine, cosine = np.sin(angle_rad), np.cos(angle_rad)
+    return cosine * first - sine * second, sine * first + cosine * second
+
+
+def earth_field(t):
+    """Field in east, north, up, µT."""
+    field = np.array([1.0, 20.0, -44.0])
+    if 22.0 <= t < 26.0 or t >= 50.0:
+        field = field + DISTURBANCE_UT
+    scale, turn, tip = 1.0, 0.0, 0.0
+    if 85.0 <= t < 91.0:
+        turn, tip = 0.3, 0.26
+    elif 91.0 <= t < 160.0:
+        turn = 0.3
+    if t >= 91.0:
+        scale += 0.006 * min(t - 91.0, 40.0)
+    if 165.0 <= t < 205.0 or 215.0 <= t < 270.0:
+        turn = 0.5
+        scale *= 1.5 if int(t / 3.0) % 2 == 0 else 0.7
+    east, north, up = field
+    north, up = turned(north, up, tip)
+    east, north = turned(east, north, turn)
+    return scale * np.array([east, north, up])
+
+
 def signal(t, bias_deg_s):
     """Rate in rad/s, specific force in m/s² and field in µT, in sensor axes."""
     roll, roll_rate = angle(t, 0.3, 0.9, 1.3)
@@ -57,10 +84,9 @@ def signal(t, bias_deg_s):
     force = np.array([3.0 * strength * np.sin(2.1 * t),
                       2.0 * strength * np.sin(1.9 * t + 1.0),
                       9.81 + strength * np.sin(2.7 * t)])
-    field = np.array([1.0, 20.0, -44.0])
-    if 22.0 <= t < 26.0 or t >= 50.0:
-        field = field + DISTURBANCE_UT
-    return rate, to_earth.T @ force, to_earth.T @ field
+    if 30.0 <= t < 36.0:
+        force[0] += 0.55 * np.sin(30.0 * t)
+    return rate, to_earth.T @ force, to_earth.T @ earth_field(t)
 
 
 def main():

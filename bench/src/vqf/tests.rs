@@ -1,17 +1,28 @@
 //! VQF against the package of its authors, on a signal from formulas.
 //!
 //! `golden.csv` holds the attitudes and biases of the package `vqf` 2.1.2 of PyPI. `golden.py`
-//! beside it writes the file, and has the same formulas as this file. The signal rests, turns,
-//! accelerates, rests and moves again, with a bias below or above VQF's limit. A magnetic
-//! disturbance passes, and another one stays until it becomes the reference.
+//! beside it writes the file, and has the same formulas as this file. The bias is below or above
+//! VQF's limit.
+//!
+//! | time | what happens |
+//! |---|---|
+//! | until 6 s | rest |
+//! | 6 to 30 s | motion; at 22 s a magnetic disturbance of 4 s |
+//! | 30 to 42 s | rest; the force trembles for 6 s |
+//! | from 42 s on | motion |
+//! | 50 s | another field, which becomes the reference |
+//! | 85 to 91 s | a disturbance of the dip alone |
+//! | 91 to 131 s | the field grows faster than the reference can follow |
+//! | 165 to 205 s | an unsteady disturbance, which is rejected |
+//! | 215 to 270 s | the same, until the time of rejection is used up |
 
-use aplomb_models::motion::geometry::{Quaternion, Vector, add, norm, subtract};
+use aplomb_models::motion::geometry::{Quaternion, Vector, add, norm, scale, subtract};
 
 use super::{FORCE_S, Vqf};
 
 const GOLDEN: &str = include_str!("golden.csv");
-const SECONDS: u32 = 100;
-const NOTED_S: u32 = 5;
+const SECONDS: u32 = 280;
+const NOTED_S: u32 = 10;
 const SMALL_BIAS_DEG_S: Vector = [0.5, -0.7, 0.3];
 const LARGE_BIAS_DEG_S: Vector = [4.0, -3.0, 1.0];
 /// Step of the samples in µs, samples for each reading of the field, and bias in °/s.
@@ -30,10 +41,10 @@ const BIAS_TOLERANCE_RAD_S: f64 = 1e-10;
 /// Returns the strength of the motion and its derivative, 1/s.
 fn envelope(t_s: f64) -> (f64, f64) {
     let omega = std::f64::consts::PI / 6.0;
-    let (start_s, end_s) = if t_s < 33.0 {
+    let (start_s, end_s) = if t_s < 36.0 {
         (6.0, 30.0)
     } else {
-        (36.0, 110.0)
+        (42.0, 290.0)
     };
     if t_s < start_s || t_s >= end_s {
         (0.0, 0.0)
@@ -56,6 +67,44 @@ fn angle(t_s: f64, offset: f64, size: f64, frequency: f64) -> (f64, f64) {
     (offset + size * strength * sine, rate)
 }
 
+/// Returns two coordinates after a turn from the first to the second.
+fn turned(first: f64, second: f64, angle_rad: f64) -> (f64, f64) {
+    let (sine, cosine) = angle_rad.sin_cos();
+    (
+        cosine * first - sine * second,
+        sine * first + cosine * second,
+    )
+}
+
+/// Returns the field in east, north, up, µT.
+fn earth_field(t_s: f64) -> Vector {
+    let mut field = [1.0, 20.0, -44.0];
+    if (22.0..26.0).contains(&t_s) || t_s >= 50.0 {
+        field = add(field, DISTURBANCE_UT);
+    }
+    let (mut turn, tip) = match t_s {
+        85.0..91.0 => (0.3, 0.26),
+        91.0..160.0 => (0.3, 0.0),
+        _ => (0.0, 0.0),
+    };
+    let mut size = 1.0;
+    if t_s >= 91.0 {
+        size += 0.006 * (t_s - 91.0).min(40.0);
+    }
+    if (165.0..205.0).contains(&t_s) || (215.0..270.0).contains(&t_s) {
+        turn = 0.5;
+        size *= if (t_s / 3.0) as u32 % 2 == 0 {
+            1.5
+        } else {
+            0.7
+        };
+    }
+    let [east, north, up] = field;
+    let (north, up) = turned(north, up, tip);
+    let (east, north) = turned(east, north, turn);
+    scale([east, north, up], size)
+}
+
 /// Returns rate, rad/s, specific force, m/s², and field, µT, in sensor axes.
 fn signal(t_s: f64, bias_deg_s: Vector) -> [Vector; 3] {
     let (roll, roll_rate) = angle(t_s, 0.3, 0.9, 1.3);
@@ -67,18 +116,21 @@ fn signal(t_s: f64, bias_deg_s: Vector) -> [Vector; 3] {
         yaw_rate * pitch.cos() * roll.cos() - pitch_rate * roll.sin(),
     ];
     let (strength, _) = envelope(t_s);
-    let force = [
+    let mut force = [
         3.0 * strength * (2.1 * t_s).sin(),
         2.0 * strength * (1.9 * t_s + 1.0).sin(),
         9.81 + strength * (2.7 * t_s).sin(),
     ];
-    let mut field = [1.0, 20.0, -44.0];
-    if (22.0..26.0).contains(&t_s) || t_s >= 50.0 {
-        field = add(field, DISTURBANCE_UT);
+    if (30.0..36.0).contains(&t_s) {
+        force[0] += 0.55 * (30.0 * t_s).sin();
     }
     let to_sensor = Quaternion::from_euler(roll, pitch, yaw).conjugate();
     let rate = add(rate, bias_deg_s.map(f64::to_radians));
-    [rate, to_sensor.rotate(force), to_sensor.rotate(field)]
+    [
+        rate,
+        to_sensor.rotate(force),
+        to_sensor.rotate(earth_field(t_s)),
+    ]
 }
 
 /// Returns the larger distance of a component, of two quaternions with one sign.
