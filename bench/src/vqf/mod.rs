@@ -117,7 +117,7 @@ impl Vqf {
     fn correct_inclination(&mut self, force_m_s2: Vector) {
         let smooth = self.force.update(self.strapdown.rotate(force_m_s2));
         let level = self.inclination.rotate(smooth);
-        let up = scale(level, 1.0 / norm(level));
+        let up = scale(level, 1.0 / norm(level).max(f64::MIN_POSITIVE));
         let cosine = (0.5 * (up[2] + 1.0)).sqrt();
         let turn = if cosine > SMALLEST_COSINE {
             Quaternion::new(cosine, 0.5 * up[1] / cosine, -0.5 * up[0] / cosine, 0.0)

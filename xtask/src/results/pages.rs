@@ -14,9 +14,12 @@ const END: &str = "<!-- end of results -->\n";
 const COLUMNS: usize = 98;
 
 /// Filters in the tables of accuracy: key, text, and key of the cost.
-const FILTERS: [(&str, &str); 4] = [
+const FILTERS: [(&str, &str); 7] = [
     ("kalman", "`kalman`, the default"),
-    ("vqf", "the crate `vqf` 0.4.1, two of its four faults fixed"),
+    ("vqf", "VQF, with the tuning of its authors"),
+    ("fusion", "Fusion, with gains found on BROAD and TUM-VI"),
+    ("madgwick", "Madgwick, with gains found there"),
+    ("mahony", "Mahony, with gains found there"),
     (
         "axis-kalman",
         "`axis-kalman`, the tutorial's with one filter per axis",
@@ -80,7 +83,7 @@ fn summary(data: &Data) -> Result<String, String> {
         let (ours, vqf) = (median(section, "kalman")?, median(section, "vqf")?);
         let _ = writeln!(
             text,
-            "| tilt error, median of {place} | {ours}° (crate `vqf`: {vqf}°){tuning} |"
+            "| tilt error, median of {place} | {ours}° (VQF: {vqf}°){tuning} |"
         );
     }
     let rows = [
@@ -346,7 +349,7 @@ fn filters(data: &Data) -> Result<String, String> {
     )));
     text.push_str(
         "\n| left out | default tuning | tuned, the sensor's known errors stay | tuned, every \
-         number | VQF |\n\
+         number | VQF, as above |\n\
          |---|---|---|---|---|\n",
     );
     for (set, cells) in left_out.figures() {
@@ -372,9 +375,7 @@ fn cost(data: &Data) -> Result<String, String> {
         let cells: Vec<&str> = cells.split(' ').collect();
         let _ = writeln!(text, "| {filter} | {} |", cells.join(" | "));
     }
-    text.push_str(
-        "\nThe crate `vqf` needs the standard library and does not build for this core.\n",
-    );
+    text.push_str("\nVQF is not among them: the comparison has it in `f64`, for a computer.\n");
     Ok(text)
 }
 
