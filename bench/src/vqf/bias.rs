@@ -126,14 +126,13 @@ impl BiasEstimator {
     fn correct(&mut self, measurement: &Measurement) {
         let limited = measurement.disagreement_rad_s.map(limit);
         let before = self.bias_rad_s;
-        for part in 0..3 {
-            let direction = measurement.directions[part];
+        let parts = measurement.directions.into_iter().zip(limited);
+        for ((direction, limited), variance) in parts.zip(measurement.variances) {
             let toward = self.covariance.map(|row| dot(row, direction));
-            let variance = dot(direction, toward) + measurement.variances[part];
-            let gain = scale(toward, 1.0 / variance);
+            let gain = scale(toward, 1.0 / (dot(direction, toward) + variance));
             // The parts before have corrected some of the disagreement.
             let corrected = dot(direction, subtract(self.bias_rad_s, before));
-            let change = scale(gain, limited[part] - corrected);
+            let change = scale(gain, limited - corrected);
             self.bias_rad_s = add(self.bias_rad_s, change);
             for (row, gain) in self.covariance.iter_mut().zip(gain) {
                 *row = subtract(*row, scale(toward, gain));

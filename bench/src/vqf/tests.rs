@@ -93,7 +93,7 @@ fn earth_field(t_s: f64) -> Vector {
     }
     if (165.0..205.0).contains(&t_s) || (215.0..270.0).contains(&t_s) {
         turn = 0.5;
-        size *= if (t_s / 3.0) as u32 % 2 == 0 {
+        size *= if ((t_s / 3.0) as u32).is_multiple_of(2) {
             1.5
         } else {
             0.7
