@@ -26,7 +26,8 @@ const DECLINATION_DEG: f32 = 3.5;
 /// Values of `AplombCompassKnowledge` and their names for the program `aplomb`.
 const KNOWLEDGE: [(&str, &str); 2] = [("1", "factory"), ("2", "calibrated")];
 
-/// Builds the program `aplomb`.
+/// Builds the program `aplomb`, with the features of all tests: otherwise its dependencies would be
+/// built twice.
 fn program() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args([
@@ -34,8 +35,11 @@ fn program() -> PathBuf {
         "--quiet",
         "--release",
         "--ignore-rust-version",
-        "-p",
-        "aplomb-cli",
+        "--workspace",
+        "--bin",
+        "aplomb",
+        "--test",
+        "qemu",
     ]);
     let status = cargo.status().expect("cargo runs");
     assert!(status.success(), "the program builds");

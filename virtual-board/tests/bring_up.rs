@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use aplomb_models::motion::turn::Turn;
 use aplomb_models::motion::{Motion, Mount, Quaternion, Truth};
-use common::firmware;
+use common::pooled_run;
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::Run;
 use virtual_board::mcu::ReceivedByte;
@@ -123,7 +123,7 @@ impl Table {
                 pose: Quaternion::IDENTITY,
                 turn: None,
             };
-            let start = || prepare(Run::new(firmware()).without_account());
+            let start = || prepare(pooled_run());
             let flight = start().boxed_motion(Box::new(hand)).seconds(first_s);
             let outcome = flight.observer(wire()).run().expect("a flight");
             hurry.store(false, Ordering::Relaxed);

@@ -10,7 +10,7 @@ use aplomb::telemetry::bursts;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::swing::Swing;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
-use common::firmware;
+use common::{firmware, pooled_run};
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -19,8 +19,8 @@ use virtual_board::schedule::Schedule;
 
 fn fly(seconds: f64, schedule: &str) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
-    let run = Run::new(firmware()).seconds(seconds).schedule(&schedule);
-    run.without_account().run().unwrap()
+    let run = pooled_run().seconds(seconds).schedule(&schedule);
+    run.run().unwrap()
 }
 
 /// The number of samples whose attitude does not follow from the bytes that the bus delivered.
@@ -132,7 +132,7 @@ fn a_bus_error_that_is_a_flag_alone_loses_no_sample() {
 /// that dies in flight.
 fn fly_by_internal_oscillator(error: f64, crystal_dies: &str) -> Outcome {
     let schedule = Schedule::parse("test", crystal_dies).unwrap();
-    let mut run = Run::new(firmware())
+    let mut run = pooled_run()
         .seconds(4.0)
         .fault(Fault::InternalOscillator(error))
         .schedule(&schedule)
@@ -140,7 +140,7 @@ fn fly_by_internal_oscillator(error: f64, crystal_dies: &str) -> Outcome {
     if crystal_dies.is_empty() {
         run = run.fault(Fault::NoCrystal);
     }
-    run.without_account().run().unwrap()
+    run.run().unwrap()
 }
 
 /// The largest error of a valid tilt by the larger of 5° and six σ, of which it must be below 1.
@@ -200,7 +200,7 @@ fn hang_after_a_save(run: Run, hz: u64) -> (Outcome, f64) {
         .command(1.3, "rate 20")
         .command(1.4, "save");
     let schedule = Schedule::parse("test", "3.0 0 watchdog-hang").unwrap();
-    let outcome = run.schedule(&schedule).seconds(4.0).without_account().run();
+    let outcome = run.schedule(&schedule).seconds(4.0).run();
     let outcome = outcome.unwrap();
     assert!(outcome.uart_reports("stored"), "{:?}", outcome.uart_lines);
     let [reset_ns] = outcome.record.resets_ns[..] else {
@@ -212,7 +212,7 @@ fn hang_after_a_save(run: Run, hz: u64) -> (Outcome, f64) {
 #[test]
 fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
     for (hz, latest_ms) in [(17_000, 600.0), (32_000, 350.0), (47_000, 250.0)] {
-        let (_, after_ms) = hang_after_a_save(Run::new(firmware()), hz);
+        let (_, after_ms) = hang_after_a_save(pooled_run(), hz);
         // The last feed may be a tick of 20 ms before the hang.
         assert!(
             (178.0..latest_ms).contains(&after_ms),
@@ -224,12 +224,12 @@ fn the_watchdog_keeps_its_limits_at_both_ends_of_its_oscillator() {
 /// A self-test keeps the short limit: the idle task reports progress in it.
 #[test]
 fn a_self_test_is_not_reset_by_the_fastest_watchdog() {
-    let run = Run::new(firmware())
+    let run = pooled_run()
         .kit(Kit::Mpu9250)
         .fault(Fault::WatchdogClock(47_000))
         .motion(Rest::level())
         .command(1.4, "self-test");
-    let outcome = run.seconds(4.0).without_account().run().unwrap();
+    let outcome = run.seconds(4.0).run().unwrap();
     assert!(outcome.uart_reports("passed"), "{:?}", outcome.uart_lines);
     assert_eq!(outcome.record.resets_ns, Vec::<u64>::new());
 }
@@ -237,7 +237,7 @@ fn a_self_test_is_not_reset_by_the_fastest_watchdog() {
 #[test]
 fn a_save_is_not_reset_by_a_watchdog_that_takes_a_limit_late() {
     for hz in [17_000, 25_000, 32_000, 47_000] {
-        let run = Run::new(firmware()).fault(Fault::SlowWatchdog);
+        let run = pooled_run().fault(Fault::SlowWatchdog);
         let (outcome, after_ms) = hang_after_a_save(run, hz);
         assert_eq!(outcome.issues.len(), 1, "{:?}", outcome.issues);
         // The short limit is back.
@@ -249,7 +249,11 @@ fn a_save_is_not_reset_by_a_watchdog_that_takes_a_limit_late() {
 fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
     // The exception that wakes the core finds no room, or its handler, or a function that it calls.
     for room_bytes in [0, 8, 24, 36, 76, 124, 220] {
-        let outcome = fly(0.8, &format!("0.6 0 stack-overflow:{room_bytes}"));
+        let overflow = format!("0.6 0 stack-overflow:{room_bytes}");
+        let schedule = Schedule::parse("test", &overflow).unwrap();
+        // With the memory protection unit, which is the guard.
+        let run = Run::new(firmware()).seconds(0.8).schedule(&schedule);
+        let outcome = run.without_account().run().unwrap();
         assert_eq!(outcome.record.resets_ns.len(), 1, "{room_bytes}");
         let is_reported = outcome.uart_reports("last fault: stack-overflow");
         assert!(is_reported, "{room_bytes}: {:?}", outcome.uart_lines);
@@ -262,7 +266,7 @@ fn the_guard_below_the_stack_stops_an_overflow_before_the_bus_does() {
 
 #[test]
 fn a_start_that_takes_time_delays_each_attitude_by_that_time() {
-    let flight = || Run::new(firmware()).seconds(2.1);
+    let flight = || pooled_run().seconds(2.1);
     let [calm, slow] = [flight(), flight().fault(Fault::SlowStart)].map(|run| run.run().unwrap());
     assert_eq!(slow.samples().len(), calm.samples().len());
     assert_eq!(slow.summary.missed, 0);
@@ -279,7 +283,7 @@ fn a_start_that_takes_time_delays_each_attitude_by_that_time() {
 #[test]
 fn the_prefetch_is_off_on_revision_a_alone() {
     for revision in [0x1000, 0x1001, 0x100F] {
-        let run = Run::new(firmware()).fault(Fault::ChipRevision(revision));
+        let run = pooled_run().fault(Fault::ChipRevision(revision));
         let outcome = run.seconds(1.4).run().unwrap();
         assert_eq!(outcome.issues, Vec::<String>::new(), "{revision:#x}");
         let is_on = revision != 0x1000;
@@ -300,8 +304,8 @@ fn the_first_set_up_of_the_pins_makes_no_edge() {
 #[test]
 fn random_ram_at_power_up_is_not_taken_for_an_earlier_run() {
     for seed in 1..=3 {
-        let run = Run::new(firmware()).seed(seed).motion(Rest::level());
-        let run = run.seconds(2.0).command(1.6, "status").without_account();
+        let run = pooled_run().seed(seed).motion(Rest::level());
+        let run = run.seconds(2.0).command(1.6, "status");
         let outcome = run.run().unwrap();
         assert_eq!(outcome.record.ram_power_ups, 1);
         let first = outcome.record.health.first().expect("a reading");
@@ -316,12 +320,12 @@ fn random_ram_at_power_up_is_not_taken_for_an_earlier_run() {
 fn ram_that_survives_a_failure_of_the_supply_is_not_trusted() {
     for (millivolts, ram_power_ups) in [(1_500, 1), (800, 2)] {
         let faults = format!("1.7 0.003 address-nack\n2.0 0.05 supply-sag:{millivolts}");
-        let run = Run::new(firmware())
+        let run = pooled_run()
             .motion(Rest::level())
             .seconds(4.2)
             .schedule(&Schedule::parse("test", &faults).unwrap());
         let run = run.command(1.9, "arm").command(4.0, "status");
-        let outcome = run.without_account().run().unwrap();
+        let outcome = run.run().unwrap();
         assert_eq!(outcome.record.ram_power_ups, ram_power_ups);
         let health = &outcome.record.health;
         let before = health.iter().rfind(|reading| reading.at_ns < 2_000_000_000);

@@ -23,7 +23,7 @@ use aplomb_models::motion::{Quaternion, inclination_error_rad};
 use aplomb_models::random::Random;
 use aplomb_models::sensor::SensorErrors;
 use command_words::WORDS;
-use common::firmware;
+use common::pooled_run;
 use virtual_board::faults::Fault;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -114,7 +114,7 @@ const EVERY_COMMAND: &str = "
 #[test]
 fn every_command_is_answered_as_before() {
     let script = Script::parse(EVERY_COMMAND).unwrap();
-    let outcome = fly(Run::new(firmware())
+    let outcome = fly(pooled_run()
         .seconds(39.0)
         .motion(Rest::level())
         .commands(&script));
@@ -141,7 +141,7 @@ fn every_command_is_answered_as_before() {
 
 #[test]
 fn the_formats_and_rates_are_what_was_asked_for() {
-    let outcome = fly(Run::new(firmware())
+    let outcome = fly(pooled_run()
         .seconds(7.0)
         .motion(Rest::level())
         .command(1.0, "rate 20")
@@ -188,7 +188,7 @@ fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
     for at in (0..33_000).step_by(1_500) {
         bytes[at..at + 8].copy_from_slice(b"\xFFsave\xFF\r\n");
     }
-    let run = || Run::new(firmware()).seconds(6.0).seed(4);
+    let run = || pooled_run().seconds(6.0).seed(4);
     let quiet = fly(run());
     let flooded = fly(run()
         .send(1.5, &bytes)
@@ -231,7 +231,7 @@ fn a_flood_changes_neither_samples_nor_times_nor_anything_else() {
 #[test]
 fn a_flood_of_commands_costs_no_sample_either() {
     let flood = b"status\n".repeat(4_000);
-    let outcome = fly(Run::new(firmware()).seconds(4.0).send(1.0, &flood));
+    let outcome = fly(pooled_run().seconds(4.0).send(1.0, &flood));
     assert_eq!(outcome.summary.missed, 0);
     assert!(
         outcome.summary.timestamp_error_us_max <= Some(1.0),
@@ -275,7 +275,7 @@ fn commands_by_chance_delay_no_attitude_by_much() {
         .chain([(Kit::Gy87, 0), (Kit::Gy87, 1)])
     {
         let mut random = Random::new(seed, "commands");
-        let mut run = Run::new(firmware())
+        let mut run = pooled_run()
             .kit(kit)
             .seconds(20.0)
             .seed(seed)
@@ -296,7 +296,7 @@ fn commands_by_chance_delay_no_attitude_by_much() {
 #[test]
 fn a_thousand_lines_by_chance_leave_the_module_alive() {
     let mut random = Random::new(1, "lines");
-    let mut run = Run::new(firmware()).seconds(46.0).motion(Rest::level());
+    let mut run = pooled_run().seconds(46.0).motion(Rest::level());
     for index in 0..1_000_u32 {
         let count = 1 + random.uniform(0.0, 5.0) as usize;
         let mut line = Vec::new();
@@ -329,7 +329,7 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
         noise_per_million: 10_000,
         framing_per_million: 10_000,
     };
-    let mut run = Run::new(firmware()).seconds(8.0).fault(garbled);
+    let mut run = pooled_run().seconds(8.0).fault(garbled);
     for tenth in 10..70 {
         let line = if tenth % 2 == 0 {
             "mount z-down"
@@ -364,7 +364,7 @@ fn a_noisy_line_is_counted_and_its_commands_dropped() {
 fn the_halves_of_a_garbled_line_are_no_command() {
     let mut schedule = String::new();
     // At 9600 baud, telemetry is being sent most of the time.
-    let mut run = Run::new(firmware())
+    let mut run = pooled_run()
         .seconds(14.0)
         .motion(Rest::level())
         .command(1.0, "rate 8")
@@ -391,7 +391,7 @@ fn the_halves_of_a_garbled_line_are_no_command() {
 /// The offset that the first one stores shortens neither of the others.
 #[test]
 fn a_repeated_calibration_takes_as_long_as_the_first() {
-    let outcome = fly(Run::new(firmware())
+    let outcome = fly(pooled_run()
         .seconds(14.0)
         .motion(Rest::level())
         .command(1.0, "calibrate gyro")
@@ -415,7 +415,7 @@ fn a_calibration_waits_while_the_sensor_is_frozen() {
     let (froze_s, thawed_s) = (3.0, 8.0);
     let schedule = format!("{froze_s} {} frozen", thawed_s - froze_s);
     let rolled = Quaternion::from_euler(0.15, 0.0, 0.0);
-    let outcome = fly(Run::new(firmware())
+    let outcome = fly(pooled_run()
         .seconds(13.0)
         .motion(Poses::new(&[(froze_s + 0.2, rolled)]))
         .schedule(&Schedule::parse("frozen", &schedule).unwrap())
@@ -495,7 +495,7 @@ fn tilted() -> Quaternion {
 
 #[test]
 fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
-    let run = || Run::new(firmware()).sensor_errors(poor_chip());
+    let run = || pooled_run().sensor_errors(poor_chip());
     let trial = || run().seconds(10.0).motion(Poses::new(&[(1.5, tilted())]));
 
     let uncalibrated = fly(trial());
@@ -555,7 +555,7 @@ fn a_calibration_outlives_the_power_and_takes_the_tilt_out() {
 fn the_accelerometer_s_offset_of_a_flight_serves_the_next() {
     let mut chip = SensorErrors::typical(4);
     chip.accelerometer.offset = [0.35, -0.35, 0.2];
-    let run = || Run::new(firmware()).sensor_errors(chip);
+    let run = || pooled_run().sensor_errors(chip);
     let taught = fly(run()
         .seed(21)
         .seconds(72.0)
@@ -617,7 +617,7 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
 /// Twelve poses show the gyroscope's scale. `gyro-matrix` and `save` give it to every flight.
 #[test]
 fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
-    let run = || Run::new(firmware()).sensor_errors(SensorErrors::typical(8));
+    let run = || pooled_run().sensor_errors(SensorErrors::typical(8));
     let recording = fly(run()
         .seconds(52.0)
         .motion(Poses::twelve(4.0))
@@ -650,7 +650,7 @@ fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
     };
     let mut exact = SensorErrors::typical(8);
     exact.gyroscope.sensitivity = SensorErrors::none().gyroscope.sensitivity;
-    let exact = Run::new(firmware()).sensor_errors(exact);
+    let exact = pooled_run().sensor_errors(exact);
     let flights = [
         flight(run(), &recording.flash.bytes),
         flight(run(), &saved.flash.bytes),
@@ -671,7 +671,7 @@ fn the_gyroscope_s_matrix_of_twelve_poses_serves_a_flight() {
 #[test]
 fn status_counts_refused_samples_and_its_sigma_grows() {
     let outages = Schedule::parse("outages", "2.0 0.05 zeros\n3.0 1.5 sensor-silent").unwrap();
-    let outcome = fly(Run::new(firmware())
+    let outcome = fly(pooled_run()
         .seconds(4.6)
         .schedule(&outages)
         .command(1.9, "status")

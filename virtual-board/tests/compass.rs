@@ -9,9 +9,12 @@ use aplomb::health::Flags;
 use aplomb_models::compass::{CompassConfig, EarthField, Magnetism, Part};
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Motion, Mount, Quaternion, Truth};
-use common::firmware;
+use aplomb_models::sensor::SensorErrors;
+use common::pooled_run;
+use virtual_board::bus_step::BusStep;
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
+use virtual_board::recorder::Sample;
 use virtual_board::schedule::Schedule;
 
 /// Fields that `status` has printed: body axes, µT.
@@ -28,7 +31,7 @@ fn fields(outcome: &Outcome) -> Vec<[f64; 3]> {
 
 /// A part in Berlin's field without iron, level and heading north, on this mount.
 fn at_rest(kit: Kit, part: Part, mount: &str, is_behind_imu: bool) -> Run {
-    Run::new(firmware())
+    pooled_run()
         .kit(kit)
         .compass(CompassConfig {
             mount: Mount::parse(mount).unwrap(),
@@ -37,14 +40,13 @@ fn at_rest(kit: Kit, part: Part, mount: &str, is_behind_imu: bool) -> Run {
             ..CompassConfig::new(1, part)
         })
         .motion(Rest::level())
-        .without_account()
         .without_probe()
 }
 
 #[test]
 fn a_compass_delays_no_attitude_and_loses_no_sample() {
     for kit in [Kit::Mpu9250, Kit::Gy87] {
-        let outcome = Run::new(firmware()).kit(kit).seconds(8.0).run().unwrap();
+        let outcome = pooled_run().kit(kit).seconds(8.0).run().unwrap();
         let summary = &outcome.summary;
         assert!(
             summary.edge_to_attitude_us_max <= Some(395.0),
@@ -125,14 +127,13 @@ fn a_calibration_finds_iron_and_mount() {
         magnetism,
         ..CompassConfig::new(1, Part::Qmc5883l)
     };
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .kit(Kit::Gy87)
         .compass(config.clone())
         .motion(HandTurn)
         .seconds(42.0)
         .command(2.5, "calibrate compass")
         .command(39.0, "save")
-        .without_account()
         .without_probe()
         .run()
         .unwrap();
@@ -154,14 +155,13 @@ fn a_calibration_finds_iron_and_mount() {
     );
     assert!(outcome.uart_reports("done save: stored"));
     // The next flight has the correction from flash: level and heading north.
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .kit(Kit::Gy87)
         .compass(config)
         .motion(Rest::level())
         .flash(outcome.flash.bytes.clone())
         .seconds(1.5)
         .command(1.2, "status")
-        .without_account()
         .without_probe()
         .run()
         .unwrap();
@@ -187,7 +187,7 @@ fn the_hard_iron_of_a_flight_serves_the_next_start() {
         magnetism,
         ..CompassConfig::new(1, Part::Qmc5883l)
     };
-    let run = Run::new(firmware()).kit(Kit::Gy87).seed(4).seconds(30.0);
+    let run = pooled_run().kit(Kit::Gy87).seed(4).seconds(30.0);
     let outcome = run
         .compass(config.clone())
         .command(0.8, "compass +y-z")
@@ -195,7 +195,6 @@ fn the_hard_iron_of_a_flight_serves_the_next_start() {
         .command(27.0, "status")
         .command(28.0, "compass keep")
         .command(28.5, "save")
-        .without_account()
         .without_probe()
         .run()
         .unwrap();
@@ -211,14 +210,13 @@ fn the_hard_iron_of_a_flight_serves_the_next_start() {
     for (found, iron) in found.iter().zip(config.magnetism.hard_iron_ut) {
         assert!((found - iron).abs() < 3.0, "{found} {iron}");
     }
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .kit(Kit::Gy87)
         .compass(config)
         .motion(Rest::level())
         .flash(outcome.flash.bytes.clone())
         .seconds(6.0)
         .command(5.0, "status")
-        .without_account()
         .without_probe()
         .run()
         .unwrap();
@@ -330,12 +328,11 @@ fn the_self_test_includes_the_compass() {
 #[test]
 fn a_compass_that_is_not_the_named_one_is_reported() {
     let named = |kit: Kit, command: &str| {
-        Run::new(firmware())
+        pooled_run()
             .kit(kit)
             .motion(Rest::level())
             .seconds(1.8)
             .command(0.8, command)
-            .without_account()
             .without_probe()
             .run()
             .unwrap()
@@ -357,4 +354,50 @@ fn a_compass_that_is_not_the_named_one_is_reported() {
     assert!(!has_flag(&outcome) && !outcome.uart_reports("compass: "));
     let outcome = named(Kit::Gy87, "compass off");
     assert!(!has_flag(&outcome));
+}
+
+/// Each burst of this sensor ends in 0xFF, as if it had released the bus. That makes a burst invalid
+/// only if the bus error was in that burst.
+#[test]
+fn a_bus_error_in_a_compass_read_costs_no_burst() {
+    let mut chip = SensorErrors::none();
+    chip.gyroscope.offset[2] = -1.0_f64.to_radians() / 16.4;
+    chip.accelerometer.noise_density = SensorErrors::typical(1).accelerometer.noise_density;
+    // At 400 kHz a byte takes 23 us. The times of the flags move through the sample's period.
+    let flags = (0..400).map(|index| {
+        format!(
+            "{:.6} 0.00004 bus-error:flag\n",
+            2.0 + 0.01303 * f64::from(index)
+        )
+    });
+    let run = pooled_run()
+        .kit(Kit::Gy87)
+        .sensor_errors(chip)
+        .motion(Rest::level());
+    let schedule = Schedule::parse("flags", &flags.collect::<String>()).unwrap();
+    let outcome = run.schedule(&schedule).seconds(7.5).run().unwrap();
+    let ends_in_ff = |sample: &Sample| sample.burst.bytes.ends_with(&[0xFF; 2]);
+    assert!(outcome.samples().iter().all(ends_in_ff));
+    let steps = &outcome.record.steps_at_faults;
+    let mut in_compass_reads = 0;
+    for (fault, step) in outcome.faults.iter().zip(steps) {
+        let from_ns = fault.start_ns;
+        let edges = outcome.record.edges.iter().rev();
+        let edge = edges
+            .map(|edge| edge.time_ns)
+            .find(|&time_ns| time_ns <= from_ns)
+            .unwrap();
+        // A burst has ended by then.
+        if from_ns - edge < 450_000 || !matches!(step, BusStep::Read(_)) {
+            continue;
+        }
+        in_compass_reads += 1;
+        let soon = from_ns..from_ns + 3_000_000;
+        let published = outcome
+            .samples()
+            .iter()
+            .filter(|sample| soon.contains(&sample.published_ns));
+        assert_eq!(published.count(), 3, "{from_ns} ns");
+    }
+    assert!(in_compass_reads >= 5, "{in_compass_reads}");
 }

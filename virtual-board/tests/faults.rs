@@ -7,7 +7,7 @@ use aplomb::fault::FaultClass;
 use aplomb::health::Flags;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::vibration::{Strength, Vibrating};
-use common::firmware;
+use common::pooled_run;
 use virtual_board::faults::{BusByte, BusLine, Fault};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
@@ -20,7 +20,7 @@ fn fly(run: Run) -> Outcome {
 
 /// A run at rest.
 fn at_rest(seconds: f64) -> Run {
-    Run::new(firmware()).seconds(seconds).motion(Rest::level())
+    pooled_run().seconds(seconds).motion(Rest::level())
 }
 
 /// All lines from the firmware, for the failing test's output.
@@ -202,7 +202,7 @@ fn sensor_reset_in_flight() {
 #[test]
 fn moved_during_start_up() {
     let motion = Rest::level().nudged(0.8, 0.4, 0.5);
-    let outcome = fly(Run::new(firmware()).seconds(6.0).motion(motion));
+    let outcome = fly(pooled_run().seconds(6.0).motion(motion));
     assert_reports(
         &outcome,
         "moved while the gyroscope's offset was being measured",
@@ -235,7 +235,7 @@ fn vibration_of_the_frame() {
             growth_s: 0.5,
         };
         let motion = Vibrating::new(Rest::level(), strength, 5);
-        let outcome = fly(Run::new(firmware()).seconds(7.0).motion(motion));
+        let outcome = fly(pooled_run().seconds(7.0).motion(motion));
         let flags = outcome.samples().iter().map(|sample| sample.snapshot.flags);
         let flagged = flags.filter(|flags| flags.contains(Flags::VIBRATION));
         let is_degraded = |flags: Flags| flags.contains(Flags::DEGRADED);
@@ -309,7 +309,7 @@ fn the_log_without_a_reader_holds_nothing_up() {
 fn a_reset_of_the_sensor_is_counted_as_one_whatever_the_part() {
     for (name, kit) in Kit::ALL {
         let schedule = Schedule::parse("test", "1.8 0.05 sensor-brownout").unwrap();
-        let run = at_rest(2.6).kit(kit).schedule(&schedule).without_account();
+        let run = at_rest(2.6).kit(kit).schedule(&schedule);
         let outcome = fly(run);
         let counters = outcome.record.health.last().unwrap().counters;
         let count = |class: FaultClass| counters[class as usize];
@@ -325,7 +325,7 @@ fn a_filter_that_an_mpu_9250_has_switched_off_is_switched_on_again() {
     for flip in ["0x1b:0x19", "0x1b:0x1a", "0x1b:0x1b", "0x1d:0x09"] {
         let schedule = Schedule::parse("test", &format!("1.8 0 register-flip:{flip}")).unwrap();
         let run = at_rest(3.4).kit(Kit::Mpu9250).schedule(&schedule);
-        let outcome = fly(run.command(2.0, "registers").without_account());
+        let outcome = fly(run.command(2.0, "registers"));
         let counters = outcome.record.health.last().unwrap().counters;
         let changed = counters[FaultClass::RegisterChanged as usize];
         assert_eq!(changed, 1, "{flip}: {}", transcript(&outcome));
@@ -338,7 +338,7 @@ fn a_filter_that_an_mpu_9250_has_switched_off_is_switched_on_again() {
 #[test]
 fn a_reset_of_the_signal_paths_is_no_attitude() {
     let schedule = Schedule::parse("test", "1.8 0 register-flip:0x6a:0x01").unwrap();
-    let outcome = fly(at_rest(2.6).schedule(&schedule).without_account());
+    let outcome = fly(at_rest(2.6).schedule(&schedule));
     let valid: Vec<u64> = outcome
         .samples()
         .iter()

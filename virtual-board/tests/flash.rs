@@ -6,11 +6,11 @@ mod common;
 use aplomb::health::Flags;
 use aplomb::settings::{OutputFormat, storage};
 use aplomb_models::motion::rest::Rest;
-use common::firmware;
+use common::pooled_run;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use virtual_board::faults::Fault;
 use virtual_board::flash::{FlashRecord, SLOT_BYTES, Step};
-use virtual_board::flight::{Outcome, Run};
+use virtual_board::flight::Outcome;
 use virtual_board::schedule::Schedule;
 
 /// Seeds of each power cut.
@@ -21,7 +21,7 @@ const RESET_STRIDE: usize = 5;
 
 /// A run on a table with these slots, in which the commands are sent at these times.
 fn run(slots: &[u8], seconds: f64, commands: &[(f64, &str)]) -> Outcome {
-    let run = Run::new(firmware())
+    let run = pooled_run()
         .motion(Rest::level())
         .seconds(seconds)
         .flash(slots.to_vec());
@@ -188,7 +188,7 @@ fn a_save_stalls_the_core_for_the_datasheet_s_time_and_the_bursts_go_on_after_it
 
 /// Saves a third record while the supply is at 2.5 V for a while.
 fn save_in_a_sag(slots: &[u8], sag_s: std::ops::Range<f64>) -> Outcome {
-    Run::new(firmware())
+    pooled_run()
         .motion(Rest::level())
         .seconds(3.0)
         .flash(slots.to_vec())
@@ -196,7 +196,6 @@ fn save_in_a_sag(slots: &[u8], sag_s: std::ops::Range<f64>) -> Outcome {
         .command(1.0, "rate 25")
         .command(1.1, "format classic")
         .command(1.2, "save")
-        .without_account()
         .run()
         .unwrap()
 }
@@ -239,7 +238,7 @@ fn a_supply_that_fails_during_a_save_leaves_the_old_record_or_the_new_one() {
     for nth in 0..5 {
         let start_s = 1.2 + 0.15 * f64::from(nth);
         let fault = format!("{start_s} 0.05 supply-sag:800");
-        let outcome = Run::new(firmware())
+        let outcome = pooled_run()
             .motion(Rest::level())
             .seconds(start_s + 1.8)
             .flash(slots.clone())
@@ -247,7 +246,6 @@ fn a_supply_that_fails_during_a_save_leaves_the_old_record_or_the_new_one() {
             .command(1.0, "rate 25")
             .command(1.1, "format classic")
             .command(1.2, "save")
-            .without_account()
             .run()
             .unwrap();
         let found = in_force(&outcome.flash.bytes);
@@ -280,14 +278,11 @@ fn a_reset_in_a_step_of_a_save_leaves_the_old_record_or_the_new_one() {
         let schedule = Schedule::parse("test", &format!("{start_s} 0 {fault}")).unwrap();
         let outcome = commands
             .iter()
-            .fold(Run::new(firmware()), |run, (at_s, line)| {
-                run.command(*at_s, line)
-            })
+            .fold(pooled_run(), |run, (at_s, line)| run.command(*at_s, line))
             .motion(Rest::level())
             .seconds(if fault == "watchdog-hang" { 8.5 } else { 3.0 })
             .flash(slots.clone())
             .schedule(&schedule)
-            .without_account()
             .run()
             .unwrap();
         let what = format!("{fault} in step {nth}");

@@ -4,8 +4,8 @@
 mod common;
 
 use aplomb_models::motion::rest::Rest;
-use common::firmware;
-use virtual_board::flight::{Outcome, Run};
+use common::pooled_run;
+use virtual_board::flight::Outcome;
 
 /// Message COMMAND_LONG, and the seed of its checksum.
 const COMMAND_LONG: (u8, u8) = (76, 152);
@@ -89,7 +89,7 @@ fn answers(outcome: &Outcome) -> Vec<&str> {
 #[test]
 fn requests_wait_for_the_end_of_a_save() {
     let requests = [command(STORAGE), command(STORAGE), command(ARM)].concat();
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .seconds(4.0)
         .motion(Rest::level())
         .command(1.0, "format mavlink")
@@ -120,7 +120,7 @@ fn requests_wait_for_the_end_of_a_save() {
 #[test]
 fn a_calibration_that_a_line_gives_up_is_cancelled() {
     let run = |line| {
-        Run::new(firmware())
+        pooled_run()
             .seconds(4.0)
             .motion(Rest::level())
             .command(1.0, "format mavlink")
@@ -145,7 +145,7 @@ fn text_behind_a_change_of_the_format_never_runs() {
     if let Some(last) = damaged.last_mut() {
         *last ^= 0xFF;
     }
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .seconds(3.5)
         .motion(Rest::level())
         .command(1.0, "format mavlink")
@@ -174,7 +174,7 @@ fn a_heartbeat_confirms_a_baud_rate() {
     set[6..14].copy_from_slice(b"OUT_BAUD");
     set[22] = 9;
     let run = |second: &[u8]| {
-        Run::new(firmware())
+        pooled_run()
             .seconds(13.0)
             .motion(Rest::level())
             .command(1.0, "format mavlink")
@@ -199,7 +199,7 @@ fn a_heartbeat_confirms_a_baud_rate() {
 #[test]
 fn a_command_before_the_change_does_not_confirm_a_baud_rate() {
     let reverted = "failed baud: nothing was understood at 921600, it is 115200 again";
-    let run = || Run::new(firmware()).seconds(13.0).motion(Rest::level());
+    let run = || pooled_run().seconds(13.0).motion(Rest::level());
 
     let text = run()
         .command(1.0, "baud 921600\nrate 20\nsave")

@@ -20,7 +20,7 @@ use aplomb_models::motion::Mount;
 use aplomb_models::motion::geometry::Vector;
 use aplomb_models::motion::rest::Rest;
 use aplomb_recordings::flight_log::{self, Step};
-use common::firmware;
+use common::{firmware, pooled_run};
 use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
 use virtual_board::recorder::Sample;
@@ -66,9 +66,12 @@ fn calibrated(config: &CompassConfig) -> Vec<u8> {
 
 /// A flight with this kit, whose compass was calibrated.
 fn calibrated_flight(kit: Kit, seed: u64) -> Run {
+    with_calibrated_compass(pooled_run(), kit, seed)
+}
+
+fn with_calibrated_compass(run: Run, kit: Kit, seed: u64) -> Run {
     let config = kit.compass(seed, Mount::default()).unwrap();
-    Run::new(firmware())
-        .kit(kit)
+    run.kit(kit)
         .seed(seed)
         .flash(calibrated(&config))
         .without_probe()
@@ -149,7 +152,7 @@ fn a_declination_turns_the_heading_and_nothing_else() {
             let run = calibrated_flight(Kit::Gy87, 4).flash(Slots::with_record(&record).0);
             let commands = others.iter().copied().chain(set);
             let run = commands.fold(run, |run, (at_s, line)| run.command(at_s, line));
-            run.without_account().seconds(14.0).run().unwrap()
+            run.seconds(14.0).run().unwrap()
         };
         let (magnetic, turned) = (run(0.0, None), run(stored_deg, set));
         let attitude = |sample: &Sample| sample.snapshot.attitude;
@@ -179,8 +182,8 @@ fn a_declination_turns_the_heading_and_nothing_else() {
 #[test]
 fn a_compass_that_nobody_calibrated_gives_a_heading_in_flight() {
     for kit in KITS {
-        let run = Run::new(firmware()).kit(kit).seed(2).without_probe();
-        let outcome = run.without_account().seconds(30.0).run().unwrap();
+        let run = pooled_run().kit(kit).seed(2).without_probe();
+        let outcome = run.seconds(30.0).run().unwrap();
         let share = valid_share(&outcome, 20.0);
         assert!(share > 0.9, "{kit:?}: {share}");
     }
@@ -190,7 +193,9 @@ fn a_compass_that_nobody_calibrated_gives_a_heading_in_flight() {
 #[test]
 fn budgets_hold_with_a_heading() {
     for kit in KITS {
-        let outcome = calibrated_flight(kit, 3).seconds(10.0).run().unwrap();
+        // With an account of instructions.
+        let run = with_calibrated_compass(Run::new(firmware()), kit, 3);
+        let outcome = run.seconds(10.0).run().unwrap();
         let summary = &outcome.summary;
         assert_eq!(summary.missed, 0);
         assert!(
@@ -226,8 +231,8 @@ fn budgets_hold_with_a_heading() {
 
 #[test]
 fn without_a_compass_there_is_no_heading() {
-    let run = Run::new(firmware()).seconds(6.0).seed(3).without_probe();
-    let outcome = run.without_account().command(3.0, "status").run().unwrap();
+    let run = pooled_run().seconds(6.0).seed(3).without_probe();
+    let outcome = run.command(3.0, "status").run().unwrap();
     assert!(outcome.samples().len() > 5_000);
     assert!(
         outcome
@@ -252,7 +257,6 @@ fn no_fault_of_the_compass_gives_a_wrong_valid_heading() {
         let text = format!("6.0 {lasts_s} {name}");
         let outcome = calibrated_flight(Kit::Gy87, 5)
             .schedule(&Schedule::parse("test", &text).unwrap())
-            .without_account()
             .seconds(13.0)
             .run()
             .unwrap();
@@ -274,7 +278,7 @@ fn no_fault_of_the_compass_gives_a_wrong_valid_heading() {
 #[test]
 fn commands_that_change_the_compass_restart_the_heading() {
     let config = Kit::Gy87.compass(1, Mount::default()).unwrap();
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .kit(Kit::Gy87)
         .motion(Rest::level())
         .flash(calibrated(&config))
@@ -283,7 +287,6 @@ fn commands_that_change_the_compass_restart_the_heading() {
         .command(5.0, "status")
         .command(5.5, "compass auto")
         .without_probe()
-        .without_account()
         .seconds(9.0)
         .run()
         .unwrap();
@@ -403,7 +406,6 @@ impl Replayed {
 fn a_flight_log_replays_the_heading_to_the_bit() {
     for kit in KITS {
         let outcome = calibrated_flight(kit, 4)
-            .without_account()
             .command(1.0, "baud 921600")
             .command(1.2, "declination 3.5")
             .command(1.5, "format log")

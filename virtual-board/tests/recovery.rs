@@ -14,7 +14,7 @@ use aplomb::health::Flags;
 use aplomb_models::motion::poses::Poses;
 use aplomb_models::motion::rest::Rest;
 use aplomb_models::motion::{Quaternion, inclination_error_rad};
-use common::firmware;
+use common::{POOL, firmware, pooled_run};
 use virtual_board::campaign::{self, Case};
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
@@ -180,7 +180,7 @@ fn assert_row(row: &Row, kind: &str, fault: &str) {
     };
     let line = format!("{start_s} {} {fault}", duration_s(kind, fault));
     let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
-    let outcome = case.fly(&firmware()).unwrap();
+    let outcome = case.fly_pooled(&POOL, &firmware()).unwrap();
     let report = campaign::report(&case, &outcome);
     assert_eq!(report.failures, Vec::<String>::new(), "{fault}");
 
@@ -318,12 +318,16 @@ kinds! {
 
 /// A run at rest with these faults, for rules that the table does not have.
 fn fly(schedule: &str, seconds: f64) -> Outcome {
+    fly_with(pooled_run(), schedule, seconds)
+}
+
+/// As [`fly`], with this processor.
+fn fly_with(run: Run, schedule: &str, seconds: f64) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
-    Run::new(firmware())
+    run.without_account()
         .seconds(seconds)
         .motion(Rest::level())
         .schedule(&schedule)
-        .without_account()
         .without_probe()
         .run()
         .unwrap()
@@ -383,7 +387,9 @@ fn after_the_crystal_has_died_time_goes_on_at_its_old_pace() {
 #[test]
 fn after_a_reset_the_attitude_goes_on_without_a_new_rest() {
     for fault in ["watchdog-hang", "crash", "stack-overflow"] {
-        let outcome = fly(&format!("2.0 0 {fault}"), 2.8);
+        // With the memory protection unit, which guards the stack.
+        let run = Run::new(firmware());
+        let outcome = fly_with(run, &format!("2.0 0 {fault}"), 2.8);
         let [reset_ns] = outcome.record.resets_ns[..] else {
             panic!("{fault}: {:?}", outcome.record.resets_ns);
         };
@@ -424,11 +430,10 @@ fn a_reset_leaves_an_armed_module_armed_until_power_is_lost() {
         (&["arm"], "2.0 0.05 supply-sag:800", false),
     ] {
         let schedule = Schedule::parse("test", faults).unwrap();
-        let mut run = Run::new(firmware())
+        let mut run = pooled_run()
             .motion(Rest::level())
             .seconds(5.5)
-            .schedule(&schedule)
-            .without_account();
+            .schedule(&schedule);
         for (at_s, command) in [1.6, 1.8].into_iter().zip(commands) {
             run = run.command(at_s, command);
         }
@@ -456,13 +461,12 @@ fn a_debugger_disarms_and_ends_the_attitude() {
         start_ns: 2_000_000_000,
         duration_ns: 0,
     };
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .motion(Rest::level())
         .seconds(3.0)
         .fault(Fault::Scheduled(reset))
         .command(1.8, "arm")
         .command(2.8, "status")
-        .without_account()
         .run()
         .unwrap();
     assert_eq!(outcome.record.resets_ns.len(), 1);
@@ -486,11 +490,10 @@ fn a_reset_beside_a_long_silence_takes_the_tilt_from_gravity() {
         "2.0 2.0 dma-error\n2.1 0 crash",
     ] {
         let rolled = Quaternion::from_euler(1.0, 0.0, 0.0);
-        let outcome = Run::new(firmware())
+        let outcome = pooled_run()
             .motion(Poses::new(&[(2.3, rolled)]))
             .schedule(&Schedule::parse("test", faults).unwrap())
             .seconds(4.6)
-            .without_account()
             .run()
             .unwrap();
         let mut valid = 0;
@@ -513,13 +516,12 @@ fn a_reset_beside_a_long_silence_takes_the_tilt_from_gravity() {
 /// A crash keeps what was not saved: other axes would turn the attitude by 180°.
 #[test]
 fn a_reset_keeps_settings_that_are_not_saved() {
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .motion(Rest::level())
         .schedule(&Schedule::parse("test", "2.5 0 crash").unwrap())
         .command(1.0, "mount z-down\nrate 20")
         .command(3.2, "show\nsave")
         .seconds(5.5)
-        .without_account()
         .run()
         .unwrap();
     let is_upside_down =
@@ -619,13 +621,12 @@ fn reports<'a>(outcome: &'a Outcome, text: &str) -> Vec<&'a str> {
 #[test]
 fn a_save_cuts_off_no_burst_and_makes_no_second_recovery() {
     let save = |faults: &str| {
-        Run::new(firmware())
+        pooled_run()
             .motion(Rest::level())
             .schedule(&Schedule::parse("test", faults).unwrap())
             .command(1.0, "mount z-down")
             .command(2.7, "save")
             .seconds(5.0)
-            .without_account()
             .run()
             .unwrap()
     };
@@ -642,12 +643,11 @@ fn a_save_cuts_off_no_burst_and_makes_no_second_recovery() {
 
 #[test]
 fn a_bus_error_that_is_a_flag_alone_fails_no_self_test() {
-    let outcome = Run::new(firmware())
+    let outcome = pooled_run()
         .motion(Rest::level())
         .schedule(&Schedule::parse("test", "2.0 2.5 bus-error:flag").unwrap())
         .command(2.0, "self-test")
         .seconds(5.0)
-        .without_account()
         .run()
         .unwrap();
     assert_eq!(reports(&outcome, "failed self-test"), [""; 0]);
@@ -893,6 +893,13 @@ const ONCE_FAILED: [(u64, u64, Course, &str, &str); 21] = [
         "1.893657 0.00869 dma-error\n2.284728 0.014615 core-stall\n",
         "samples that were lost long after a recovery counted as lost before its first edge",
     ),
+    (
+        1_300_001_813,
+        26_126,
+        plain,
+        "1.865825 0.022861 bus-error\n",
+        "a burst whose last byte the sensor had not sent was valid",
+    ),
 ];
 
 #[test]
@@ -901,7 +908,7 @@ fn flights_that_once_failed_pass() {
         let mut case = Case::new(seed, Schedule::parse("test", faults).unwrap());
         case.conditions.watchdog_hz = watchdog_hz;
         let case = course(case);
-        let outcome = case.fly(&firmware()).unwrap();
+        let outcome = case.fly_pooled(&POOL, &firmware()).unwrap();
         let failures = campaign::report(&case, &outcome).failures;
         assert_eq!(failures, Vec::<String>::new(), "{seed}: {flaw}");
     }
@@ -915,7 +922,7 @@ fn false_edges_cost_one_sample_at_most() {
             let start_s = START_S + 0.000_125 * f64::from(eighth);
             let line = format!("{start_s:.6} 0.2 int-glitch:{rate}");
             let case = Case::new(SEED, Schedule::parse("test", &line).unwrap());
-            let outcome = case.fly(&firmware()).unwrap();
+            let outcome = case.fly_pooled(&POOL, &firmware()).unwrap();
             let failures = campaign::report(&case, &outcome).failures;
             assert_eq!(failures, Vec::<String>::new(), "{line}");
             let start_ns = case.schedule.faults[0].start_ns;

@@ -3,6 +3,7 @@
 mod common;
 
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,9 +11,9 @@ use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
 use aplomb::telemetry::bursts;
-use common::firmware;
+use common::{POOL, firmware, pooled_run};
 use virtual_board::campaign::Case;
-use virtual_board::flight::{Outcome, Run};
+use virtual_board::flight::Outcome;
 use virtual_board::outputs;
 use virtual_board::plot::Labels;
 use virtual_board::profile::ProcessorPool;
@@ -20,7 +21,7 @@ use virtual_board::schedule::Schedule;
 
 fn fly(seconds: f64, schedule: &str) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
-    Run::new(firmware())
+    pooled_run()
         .seconds(seconds)
         .schedule(&schedule)
         .run()
@@ -128,7 +129,7 @@ fn the_bursts_of_a_flight_with_faults_replay_to_the_bit() {
 /// Armed, the filter takes no rest for a rest.
 #[test]
 fn the_bursts_of_a_flight_that_arms_and_disarms_replay_to_the_bit() {
-    let run = Run::new(firmware()).seconds(6.0).without_account();
+    let run = pooled_run().seconds(6.0);
     let run = run.command(2.0, "arm").command(4.0, "disarm");
     let outcome = run.run().unwrap();
     let mut file = Vec::new();
@@ -155,7 +156,7 @@ fn the_bursts_of_a_flight_that_arms_and_disarms_replay_to_the_bit() {
 fn one_seed_of_faults_gives_the_same_files_every_time() {
     let folder = |name: &str, seed: u64| {
         let case = Case::by_seed(seed);
-        let outcome = case.fly(&firmware()).unwrap();
+        let outcome = case.fly_pooled(&POOL, &firmware()).unwrap();
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let labels = Labels {
             title: "title".into(),
@@ -192,10 +193,18 @@ fn one_seed_of_faults_gives_the_same_files_every_time() {
 
 #[test]
 fn a_flight_with_a_used_processor_is_the_flight_with_a_new_one() {
+    std::thread::scope(|scope| {
+        for seeds in [7_000..7_011, 7_011..7_022] {
+            scope.spawn(|| compare_used_and_new_processors(seeds));
+        }
+    });
+}
+
+/// The first seed warms the processor up. The kinds of faults follow one another, resets of the
+/// core among them.
+fn compare_used_and_new_processors(seeds: Range<u64>) {
     let pool = Arc::new(ProcessorPool::default());
-    // The first seed warms the processor up. The kinds of faults follow one another, resets of
-    // the core among them.
-    for seed in 7_000..7_021 {
+    for seed in seeds {
         let case = Case::by_seed(seed);
         let cold = case.fly(&firmware()).unwrap();
         let warm = case.fly_pooled(&pool, &firmware()).unwrap();

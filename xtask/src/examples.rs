@@ -56,17 +56,20 @@ pub fn check_format() -> Result<(), String> {
 
 /// Runs the one for the computer and checks its output.
 pub fn run_on_host() -> Result<(), String> {
-    let mut cargo = host();
-    let output = step::output(&mut cargo).ok_or("the example `host` failed")?;
+    // With the features of the tests, so that the library is not built twice.
+    let mut build = step::host_cargo("build");
+    build.args(["--quiet", "--release", "--workspace"]);
+    step::run(build.args(["--example", "host"]))?;
+    let output = step::output(&mut host()).ok_or("the example `host` failed")?;
     if !output.contains(HOST_LINE) {
         return Err(format!(
             "the example `host` does not print `{HOST_LINE}`:\n{output}"
         ));
     }
     // A log of the project has the sensor's Z axis up.
-    let mut cargo = host();
-    cargo.args(["--", "cli/tests/data/roll.csv"]);
-    let output = step::output(&mut cargo).ok_or("the example `host` failed on a log")?;
+    let mut with_log = host();
+    with_log.arg("cli/tests/data/roll.csv");
+    let output = step::output(&mut with_log).ok_or("the example `host` failed on a log")?;
     if output.contains(LEVEL_LINE) {
         return Ok(());
     }
@@ -77,7 +80,5 @@ pub fn run_on_host() -> Result<(), String> {
 
 /// Returns the command that runs the one for the computer.
 fn host() -> Command {
-    let mut cargo = step::host_cargo("run");
-    cargo.args(["--quiet", "--release", "--example", "host"]);
-    cargo
+    step::command(&target_folder().join("release/examples/host"))
 }

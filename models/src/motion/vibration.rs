@@ -47,8 +47,29 @@ pub struct Vibrating<M> {
     motion: M,
     strength: Strength,
     wander_phase: f64,
-    force_phases: [[f64; AMPLITUDES.len()]; 3],
-    rocking_phases: [[f64; AMPLITUDES.len()]; 3],
+    force_phases: [[Angle; AMPLITUDES.len()]; 3],
+    rocking_phases: [[Angle; AMPLITUDES.len()]; 3],
+}
+
+/// Sine and cosine of an angle. Those of a sum of angles need no further sine.
+#[derive(Clone, Copy)]
+struct Angle {
+    sine: f64,
+    cosine: f64,
+}
+
+impl Angle {
+    fn from_rad(angle_rad: f64) -> Self {
+        let (sine, cosine) = libm::sincos(angle_rad);
+        Self { sine, cosine }
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self {
+            sine: self.sine * other.cosine + self.cosine * other.sine,
+            cosine: self.cosine * other.cosine - self.sine * other.sine,
+        }
+    }
 }
 
 /// The vibration at one instant, in the axes of the unshaken vehicle.
@@ -63,8 +84,10 @@ impl<M: Motion> Vibrating<M> {
     #[must_use]
     pub fn new(motion: M, strength: Strength, seed: u64) -> Self {
         let mut random = Random::new(seed, "vibration");
-        let mut phases =
-            || [(); 3].map(|()| [(); AMPLITUDES.len()].map(|()| random.uniform(0.0, TAU)));
+        let mut phases = || {
+            [[(); AMPLITUDES.len()]; 3]
+                .map(|axis| axis.map(|()| Angle::from_rad(random.uniform(0.0, TAU))))
+        };
         Self {
             motion,
             strength,
@@ -95,19 +118,22 @@ impl<M: Motion> Vibrating<M> {
             angle_rad: [0.0; 3],
             angle_rate_rad_s: [0.0; 3],
         };
-        for axis in 0..3 {
-            for (index, share) in AMPLITUDES.iter().enumerate() {
-                let harmonic = (index + 1) as f64;
-                let force = harmonic * phase + self.force_phases[axis][index];
-                shake.force_m_s2[axis] += growth * unit * share * libm::sin(force);
-                let frequency = harmonic * carrier;
-                let angle = unit * share / (strength.lever_m * frequency * frequency);
-                let rocking = harmonic * phase + self.rocking_phases[axis][index];
-                shake.angle_rad[axis] += growth * angle * libm::sin(rocking);
+        let fundamental = Angle::from_rad(phase);
+        let mut of_harmonic = fundamental;
+        for (index, share) in AMPLITUDES.iter().enumerate() {
+            let harmonic = (index + 1) as f64;
+            let frequency = harmonic * carrier;
+            let angle = unit * share / (strength.lever_m * frequency * frequency);
+            for axis in 0..3 {
+                let force = of_harmonic.plus(self.force_phases[axis][index]);
+                shake.force_m_s2[axis] += growth * unit * share * force.sine;
+                let rocking = of_harmonic.plus(self.rocking_phases[axis][index]);
+                shake.angle_rad[axis] += growth * angle * rocking.sine;
                 shake.angle_rate_rad_s[axis] +=
-                    growth * angle * harmonic * phase_per_s * libm::cos(rocking)
-                        + growth_per_s * angle * libm::sin(rocking);
+                    growth * angle * harmonic * phase_per_s * rocking.cosine
+                        + growth_per_s * angle * rocking.sine;
             }
+            of_harmonic = of_harmonic.plus(fundamental);
         }
         shake
     }

@@ -325,14 +325,14 @@ impl BurstReader {
     }
 
     /// Returns whether the sensor may have released the bus before the end of a suspect burst: the
-    /// last two bytes are 0xFF. The next burst is not suspect.
+    /// last byte is 0xFF. The next burst is not suspect.
     #[cold]
     #[inline(never)]
     fn take_lost_sensor(&mut self) -> bool {
         self.is_suspect = false;
         // SAFETY: the transfer into this buffer is complete, and the buffer is not offered yet.
         let received = unsafe { &*BUFFERS.0[self.buffer as usize].get() };
-        received.burst.bytes.ends_with(&[0xFF; 2])
+        received.burst.bytes.ends_with(&[0xFF])
     }
 
     /// Makes the next steps read a burst.

@@ -28,6 +28,8 @@
 pub(crate) const VALID_TILT_RAD: f32 = 0.07;
 
 /// The heading filter's tuning.
+///
+/// Every number is positive and finite: the filter divides by some of them, and checks none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HeadingTuning {

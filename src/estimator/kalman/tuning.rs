@@ -35,6 +35,8 @@ pub(super) const LARGEST_ACCELEROMETER_BIAS_M_S2: f32 = 0.14 * STANDARD_GRAVITY_
 pub(super) const LARGEST_MATRIX_ERROR: f32 = 0.1;
 
 /// The filter's tuning.
+///
+/// Every number is positive and finite: the filter divides by some of them, and checks none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tuning {
