@@ -103,6 +103,7 @@ class Kalman:
         mount: str = "z-up",
         sensor_delay_us: int = 0,
         accelerometer: Literal["factory", "six-poses", "calibrated"] | None = None,
+        gyroscope: Literal["factory", "calibrated"] | None = None,
         compass: Literal["factory", "hard-iron", "calibrated"] = "factory",
         compass_delay_us: int = 0,
         declination_deg: float = 0.0,
@@ -118,6 +119,7 @@ class Kalman:
         *,
         mag: ArrayLike | None = None,
         armed: ArrayLike | None = None,
+        check_units: bool = True,
     ) -> Attitudes: ...
     @overload
     def run(
@@ -128,6 +130,7 @@ class Kalman:
         mag: ArrayLike | None = None,
         *,
         armed: ArrayLike | None = None,
+        check_units: bool = True,
     ) -> Attitudes: ...
 
 class Recording:

@@ -179,8 +179,9 @@ mod linux {
     use std::time::{Duration, Instant};
 
     use gpiocdev::Request;
-    use gpiocdev::line::EdgeDetection;
+    use gpiocdev::line::{EdgeDetection, EdgeEvent};
     use linux_embedded_hal::{Delay, I2cdev};
+    use rustix::time::{ClockId, clock_gettime};
 
     use super::{Burst, Config, I2cOptions, Sampled};
     use crate::sampler::{Edge, Edges, Sampler};
@@ -287,6 +288,8 @@ mod linux {
         request: Request,
         /// Number of the last edge, by the kernel's count.
         last: Option<u32>,
+        /// Edge after it, which is still to be waited for.
+        next: Option<EdgeEvent>,
     }
 
     impl Pin {
@@ -314,23 +317,37 @@ mod linux {
                 name: name.to_owned(),
                 request,
                 last: None,
+                next: None,
             })
+        }
+
+        /// Returns the next edge in the kernel's buffer, without waiting.
+        fn take_edge(&self) -> Result<Option<EdgeEvent>, String> {
+            let failed = |error: gpiocdev::Error| format!("{}: {error}", self.name);
+            if !self.request.has_edge_event().map_err(failed)? {
+                return Ok(None);
+            }
+            self.request.read_edge_event().map(Some).map_err(failed)
         }
     }
 
     impl Edges for Pin {
         fn wait(&mut self) -> Result<Edge, String> {
             let failed = |error: gpiocdev::Error| format!("{}: {error}", self.name);
-            if !self.request.wait_edge_event(SILENCE).map_err(failed)? {
+            let is_here = self.next.is_some();
+            if !is_here && !self.request.wait_edge_event(SILENCE).map_err(failed)? {
                 return Err(format!(
                     "no edge comes on {}: is the sensor's INT pin wired to it?",
                     self.name
                 ));
             }
-            let mut event = self.request.read_edge_event().map_err(failed)?;
+            let mut event = match self.next.take() {
+                Some(event) => event,
+                None => self.request.read_edge_event().map_err(failed)?,
+            };
             // The newest edge: the data registers hold its sample.
-            while self.request.has_edge_event().map_err(failed)? {
-                event = self.request.read_edge_event().map_err(failed)?;
+            while let Some(newer) = self.take_edge()? {
+                event = newer;
             }
             // The kernel counts those too that its buffer could not hold.
             let number = event.line_seqno;
@@ -338,6 +355,19 @@ mod linux {
                 time_us: event.timestamp_ns / 1_000,
                 skipped: skipped(self.last.replace(number), number),
             })
+        }
+
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            if self.next.is_none() {
+                self.next = self.take_edge()?;
+            }
+            Ok(self.next.as_ref().map(|event| event.timestamp_ns / 1_000))
+        }
+
+        fn now_us(&self) -> u64 {
+            // The kernel stamps edges by this clock.
+            let now = Duration::try_from(clock_gettime(ClockId::Monotonic));
+            now.unwrap_or_default().as_micros() as u64
         }
 
         fn is_polled(&self) -> bool {
@@ -383,9 +413,17 @@ mod linux {
             self.next += self.period;
             Ok(Edge {
                 // The time before the transfer: the registers hold the sample from before it.
-                time_us: self.started.elapsed().as_micros() as u64,
+                time_us: self.now_us(),
                 skipped: skipped as u32,
             })
+        }
+
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            Ok(None)
+        }
+
+        fn now_us(&self) -> u64 {
+            self.started.elapsed().as_micros() as u64
         }
 
         fn is_polled(&self) -> bool {

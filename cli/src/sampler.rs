@@ -17,6 +17,9 @@ use embedded_hal::i2c::I2c;
 /// Failed bursts in a row after which the sensor counts as gone.
 const FAILURES_OF_A_LOSS: u8 = 100;
 
+/// Bursts read too late after which the bus is judged.
+const LATE_OF_A_SLOW_BUS: u8 = 100;
+
 /// Time between two checks of the sensor's settings, µs: that of the firmware.
 const CHECK_PERIOD_US: u64 = 44_000;
 
@@ -37,6 +40,17 @@ pub trait Edges {
     ///
     /// Returns the reason if no sample comes, and what to do.
     fn wait(&mut self) -> Result<Edge, String>;
+
+    /// Returns the time of the next edge, µs, if it has already come; `None` for a clock. The next
+    /// [`wait`](Self::wait) returns that edge, or a later one.
+    ///
+    /// # Errors
+    ///
+    /// Returns the reason if the source fails.
+    fn pending_us(&mut self) -> Result<Option<u64>, String>;
+
+    /// Returns the present time, µs, on the clock of the samples.
+    fn now_us(&self) -> u64;
 
     /// Returns whether the times are those of a clock, not of edges.
     fn is_polled(&self) -> bool;
@@ -61,8 +75,12 @@ pub struct Sampler<B, D, E> {
     recorder: Recorder<Bytes>,
     bytes: Bytes,
     failed: u8,
-    /// Samples lost since the last burst: skipped, or with a failed transfer.
+    /// Samples lost since the last burst: skipped, with a failed transfer, or read too late.
     missed: u32,
+    /// Duration of the shortest transfer of a burst, µs.
+    shortest_us: u64,
+    /// Bursts read too late since the sensor was configured.
+    late: u8,
     /// Time of the last check of the settings, µs.
     checked_at_us: u64,
     /// Result of that check, for the next burst.
@@ -106,20 +124,23 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
             bytes,
             failed: 0,
             missed: 0,
+            shortest_us: u64::MAX,
+            late: 0,
             checked_at_us: 0,
             checked: BoardFlags::empty(),
         })
     }
 
-    /// Waits for a sample and processes it. Returns `None` if its burst failed, which costs one
-    /// sample.
+    /// Waits for a sample and processes it. Returns `None` if its burst failed, or was read too
+    /// late. Each costs one sample.
     ///
     /// # Errors
     ///
-    /// Returns the reason if the sensor is gone.
+    /// Returns the reason if the sensor is gone, or its bus too slow.
     pub fn step(&mut self) -> Result<Option<Burst>, String> {
         let edge = self.edges.wait()?;
         self.missed = self.missed.saturating_add(edge.skipped);
+        let started_us = self.edges.now_us();
         let mut burst = match self.sensor.read_burst(edge.time_us) {
             Ok(burst) => burst,
             Err(error) => {
@@ -131,6 +152,10 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
                 return Ok(None);
             }
         };
+        if self.is_too_late(started_us)? {
+            self.missed = self.missed.saturating_add(1);
+            return Ok(None);
+        }
         burst.missed_before = u8::try_from(std::mem::take(&mut self.missed)).unwrap_or(u8::MAX);
         let mut flags = std::mem::take(&mut self.checked);
         flags.set(BoardFlags::BUS_FAULT, std::mem::take(&mut self.failed) > 0);
@@ -143,6 +168,38 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
             self.check_settings();
         }
         Ok(Some(burst))
+    }
+
+    /// Returns whether the transfer that has ended may hold a later sample than that of its edge,
+    /// or a polled one more than a period after its time. The system may have run other programs
+    /// before the transfer, or in it.
+    ///
+    /// The sensor fixes the sample when its data begin, and they are most of a transfer. So it was
+    /// fixed before the second half of the shortest transfer, counted back from the end.
+    ///
+    /// # Errors
+    ///
+    /// Returns the reason if most bursts are late, because a transfer takes longer than a period.
+    fn is_too_late(&mut self, started_us: u64) -> Result<bool, String> {
+        let ended_us = self.edges.now_us();
+        let transfer_us = ended_us.saturating_sub(started_us);
+        self.shortest_us = self.shortest_us.min(transfer_us);
+        let period_us = (1e6 / self.config.sample_rate_hz()) as u64;
+        if self.edges.is_polled() {
+            return Ok(transfer_us - self.shortest_us > period_us);
+        }
+        let fixed_us = ended_us.saturating_sub(self.shortest_us / 2);
+        let next_us = self.edges.pending_us()?;
+        let is_late = next_us.is_some_and(|next_us| next_us <= fixed_us);
+        self.late = self.late.saturating_add(u8::from(is_late));
+        if self.late >= LATE_OF_A_SLOW_BUS && self.shortest_us > period_us {
+            return Err(format!(
+                "a transfer takes {} µs, and samples come each {period_us} µs: lower --rate-hz, \
+                 or make the bus faster",
+                self.shortest_us
+            ));
+        }
+        Ok(is_late)
     }
 
     /// Reads the settings back, and restores them if the sensor has lost one. A failed transfer
@@ -162,6 +219,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
 
     /// Configures the sensor again after it was gone. Returns whether it answers.
     pub fn is_back(&mut self) -> bool {
+        (self.late, self.shortest_us) = (0, u64::MAX);
         let configured = self.sensor.configure(&self.config, &mut self.delay);
         configured.is_ok()
     }
@@ -213,29 +271,62 @@ mod tests {
     use aplomb_models::motion::rest::Rest;
     use aplomb_models::motion::swing::Swing;
     use aplomb_models::motion::{Motion, Quaternion, inclination_error_rad};
-    use aplomb_models::sensor::SensorConfig;
+    use aplomb_models::sensor::{DataReady, SensorConfig};
     use aplomb_recordings::flight_log;
     use embedded_hal::i2c::{ErrorKind, ErrorType, NoAcknowledgeSource, Operation};
 
-    /// Edges of the modelled sensor's clock, at 200 Hz.
-    struct Played(IdealBus);
+    /// Edges of the modelled sensor's clock, at 200 Hz, and those that were not waited for.
+    struct Played(IdealBus, Vec<DataReady>);
 
     impl Edges for Played {
         fn wait(&mut self) -> Result<Edge, String> {
             loop {
                 self.0.delay_us(50);
-                let mut edges = self.0.take_edges();
-                if let Some(edge) = edges.pop() {
+                self.1.extend(self.0.take_edges());
+                if let Some(edge) = self.1.pop() {
                     return Ok(Edge {
                         time_us: edge.time_ns / 1_000,
-                        skipped: edges.len() as u32,
+                        skipped: std::mem::take(&mut self.1).len() as u32,
                     });
                 }
             }
         }
 
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            self.1.extend(self.0.take_edges());
+            Ok(self.1.first().map(|edge| edge.time_ns / 1_000))
+        }
+
+        fn now_us(&self) -> u64 {
+            self.0.0.borrow().1 / 1_000
+        }
+
         fn is_polled(&self) -> bool {
             false
+        }
+    }
+
+    /// Bus of a computer that runs other programs before some bursts, for a time in µs.
+    struct Preempted<F>(IdealBus, u32, F);
+
+    impl<F> ErrorType for Preempted<F> {
+        type Error = ErrorKind;
+    }
+
+    impl<F: Fn(u32) -> u32> I2c for Preempted<F> {
+        fn transaction(
+            &mut self,
+            address: u8,
+            operations: &mut [Operation<'_>],
+        ) -> Result<(), ErrorKind> {
+            let mut reads = operations.iter();
+            if reads
+                .any(|operation| matches!(operation, Operation::Read(bytes) if bytes.len() == 14))
+            {
+                self.1 += 1;
+                self.0.delay_us((self.2)(self.1));
+            }
+            self.0.transaction(address, operations)
         }
     }
 
@@ -297,7 +388,7 @@ mod tests {
             ..SensorConfig::new(1)
         };
         let bus = IdealBus::new(config, motion);
-        let edges = Played(bus.clone());
+        let edges = Played(bus.clone(), Vec::new());
         Sampler::new(Faulty(bus.clone(), 0, fails), bus, edges, settings)
     }
 
@@ -446,6 +537,101 @@ mod tests {
         let steps = log.steps(flight).expect("memory");
         let faults = steps.filter(|step| step.numbered.flags.contains(BoardFlags::BUS_FAULT));
         assert_eq!(faults.count(), 1);
+    }
+
+    #[test]
+    fn a_burst_that_is_read_after_the_next_edge_is_missed() {
+        let bus = IdealBus::new(SensorConfig::new(1), Swing::by_seed(1, 0.0));
+        let edges = Played(bus.clone(), Vec::new());
+        // The period is 5 ms. Burst 80 has begun its data when the edge comes.
+        let pauses = |burst| match burst {
+            20 => 2_000,
+            40 => 5_100,
+            60 => 12_000,
+            80 => 4_700,
+            _ => 0,
+        };
+        let preempted = Preempted(bus.clone(), 0, pauses);
+        let found = Sampler::new(preempted, bus.clone(), edges, &settings());
+        let mut sampler = found.expect("it is found");
+        bus.0.borrow_mut().0.take_bursts();
+        let (mut missed, mut late) = (Vec::new(), 0);
+        for _ in 0..200 {
+            let burst = sampler.step().expect("it stays");
+            let read = bus.0.borrow_mut().0.take_bursts();
+            let Some(burst) = burst else {
+                late += 1;
+                continue;
+            };
+            // Edges have indices from zero, and the first comes a period after the configuration.
+            let edge = read.first().and_then(|read| read.edge).expect("a sample");
+            missed.push((edge, burst.missed_before, burst.captured_at_us));
+        }
+        let lost: Vec<u8> = missed
+            .iter()
+            .map(|burst| burst.1)
+            .filter(|lost| *lost > 0)
+            .collect();
+        assert_eq!(
+            (lost.as_slice(), late),
+            ([1, 2].as_slice(), 2),
+            "{missed:?}"
+        );
+        for pair in missed.windows(2) {
+            let samples = pair[1].0 - pair[0].0;
+            assert_eq!(samples, 1 + u64::from(pair[1].1), "{pair:?}");
+            let step_us = pair[1].2 - pair[0].2;
+            assert!(
+                step_us.abs_diff(5_000 * samples) < 100 * samples,
+                "{pair:?}"
+            );
+        }
+    }
+
+    /// Clock of a computer that polls at 200 Hz.
+    struct Polled(IdealBus);
+
+    impl Edges for Polled {
+        fn wait(&mut self) -> Result<Edge, String> {
+            self.0.delay_us(5_000 - (self.now_us() % 5_000) as u32);
+            Ok(Edge {
+                time_us: self.now_us(),
+                skipped: 0,
+            })
+        }
+
+        fn pending_us(&mut self) -> Result<Option<u64>, String> {
+            Ok(None)
+        }
+
+        fn now_us(&self) -> u64 {
+            self.0.0.borrow().1 / 1_000
+        }
+
+        fn is_polled(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn a_bus_that_is_slower_than_the_sensor_is_named_unless_it_is_polled() {
+        let bus = IdealBus::new(SensorConfig::new(1), Swing::by_seed(1, 0.0));
+        let edges = Played(bus.clone(), Vec::new());
+        let slow = Preempted(bus.clone(), 0, |_| 12_000);
+        let found = Sampler::new(slow, bus.clone(), edges, &settings());
+        let mut sampler = found.expect("it is found");
+        let error = (0..300).find_map(|_| sampler.step().err());
+        let error = error.expect("most bursts are late");
+        assert!(error.contains("samples come each 5000 µs"), "{error}");
+        assert!(sampler.is_back());
+        assert_eq!(sampler.step().map(|burst| burst.is_some()), Ok(false));
+        // One preempted burst is older than the others by more than a period.
+        let slow = |burst| if burst == 40 { 18_000 } else { 12_000 };
+        let slow = Preempted(bus.clone(), 0, slow);
+        let found = Sampler::new(slow, bus.clone(), Polled(bus), &settings());
+        let mut sampler = found.expect("it is found");
+        let bursts = (0..300).map(|_| sampler.step().expect("it stays"));
+        assert_eq!(bursts.flatten().count(), 299);
     }
 
     #[test]

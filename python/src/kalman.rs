@@ -8,7 +8,7 @@ use library::attitude::Vector3;
 use library::calibration::Mount;
 use library::estimator::Sample;
 use library::estimator::heading::CompassKnowledge;
-use library::estimator::kalman::AccelerometerKnowledge;
+use library::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
 use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings};
 use library::units::{MagneticField, radians};
@@ -19,7 +19,8 @@ use pyo3::prelude::*;
 use crate::attitudes::{Attitude, Attitudes, Columns};
 use crate::copies::not_pickled;
 use crate::recording::Recording;
-use crate::times::{time_us, times_us};
+use crate::times::{SingleTimes, count_on, time_us, times_us};
+use crate::units::{Units, warn};
 use crate::vectors::{Vectors, three, vector};
 
 /// Largest delay, µs: no low-pass filter or bus is slower.
@@ -30,16 +31,21 @@ const LONGEST_DELAY_US: u32 = 1_000_000;
 /// Parameters
 /// ----------
 /// rate_hz : float, optional
-///     Samples a second. `run` finds it in the times if it is left out; `update` needs it.
+///     Samples a second. `run` finds it in the times if it is left out; `update` needs it. Times
+///     whose steps are 31.6 times longer or shorter are in another unit, and refused.
 /// mount : str
 ///     The sensor axes along which the body's forward and down axes point, such as "+x-z".
 ///     "z-up" (the default): the sensor lies face up and reads +9.81 m/s2 along z at rest.
 /// sensor_delay_us : int
 ///     Age of a sample's content at its time, 1,000,000 at most. Attitudes are extrapolated by it.
 /// accelerometer : str, optional
-///     Knowledge of the accelerometer's offset: "factory", "six-poses" or "calibrated". A
-///     calibrated sensor has a calibrated gyroscope too. Without it the recording's statement
-///     counts, else "calibrated".
+///     Knowledge of the accelerometer's offset: "factory" (as the sensor came), "six-poses" or
+///     "calibrated" (twelve poses, or by its maker). Without it the recording's statement counts,
+///     else "calibrated", as in `aplomb replay`.
+/// gyroscope : str, optional
+///     Knowledge of the gyroscope's scale: "factory" or "calibrated". Without it, that of the
+///     accelerometer counts: calibrated with "calibrated", else factory. `calibrate_accelerometer`
+///     leaves the gyroscope as it is: "factory".
 /// compass : str
 ///     Knowledge of the compass's hard iron: "factory" (none, so no heading before the body has
 ///     turned), "hard-iron" (removed, as an earlier run found it) or "calibrated".
@@ -50,9 +56,9 @@ const LONGEST_DELAY_US: u32 = 1_000_000;
 #[pyclass(module = "aplomb", frozen)]
 pub struct Kalman {
     settings: Settings,
-    knowledge: Option<AccelerometerKnowledge>,
+    knowledge: Knowledge,
     compass: Compass,
-    has_rate: bool,
+    rate_hz: Option<f64>,
     /// Filter of `update`. `run` has its own, so other threads may call both at a time.
     single: Mutex<Single>,
 }
@@ -61,6 +67,50 @@ pub struct Kalman {
 struct Single {
     pipeline: CompassPipeline,
     plateaus: Plateaus,
+    times: SingleTimes,
+}
+
+/// Statements on how the sensor is calibrated.
+#[derive(Clone, Copy)]
+struct Knowledge {
+    accelerometer: Option<AccelerometerKnowledge>,
+    gyroscope: Option<GyroscopeKnowledge>,
+}
+
+impl Knowledge {
+    /// Returns the statements, or what is wrong with them.
+    fn new(accelerometer: Option<&str>, gyroscope: Option<&str>) -> PyResult<Self> {
+        let accelerometer = accelerometer.map(|name| {
+            AccelerometerKnowledge::from_name(name).ok_or_else(|| {
+                PyValueError::new_err("accelerometer is factory, six-poses or calibrated")
+            })
+        });
+        let gyroscope = match gyroscope {
+            None => None,
+            Some("factory") => Some(GyroscopeKnowledge::Factory),
+            Some("calibrated") => Some(GyroscopeKnowledge::Calibrated),
+            Some(_) => {
+                let reason = "gyroscope is factory or calibrated";
+                return Err(PyValueError::new_err(reason));
+            }
+        };
+        Ok(Self {
+            accelerometer: accelerometer.transpose()?,
+            gyroscope,
+        })
+    }
+
+    /// Returns a pipeline. Without a statement the samples count as calibrated.
+    fn pipeline(&self, settings: &Settings) -> Pipeline {
+        let mut pipeline = Pipeline::new(settings);
+        let accelerometer = self.accelerometer;
+        let accelerometer = accelerometer.unwrap_or(AccelerometerKnowledge::Calibrated);
+        pipeline.set_accelerometer_knowledge(accelerometer);
+        if let Some(gyroscope) = self.gyroscope {
+            pipeline.set_gyroscope_knowledge(gyroscope);
+        }
+        pipeline
+    }
 }
 
 /// Settings of the compass.
@@ -115,14 +165,16 @@ impl Compass {
 impl Kalman {
     #[new]
     #[pyo3(signature = (
-        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer=None,
+        rate_hz=None, *, mount="z-up", sensor_delay_us=0, accelerometer=None, gyroscope=None,
         compass="factory", compass_delay_us=0, declination_deg=0.0
     ))]
+    #[allow(clippy::too_many_arguments, reason = "each has a name in Python")]
     fn new(
         rate_hz: Option<f64>,
         mount: &str,
         sensor_delay_us: u32,
         accelerometer: Option<&str>,
+        gyroscope: Option<&str>,
         compass: &str,
         compass_delay_us: u32,
         declination_deg: f32,
@@ -146,22 +198,18 @@ impl Kalman {
             }
             settings.sensor.sample_rate_divider = divider_of_period((1e6 / rate_hz) as u64);
         }
-        let knowledge = accelerometer.map(|name| {
-            AccelerometerKnowledge::from_name(name).ok_or_else(|| {
-                PyValueError::new_err("accelerometer is factory, six-poses or calibrated")
-            })
-        });
-        let knowledge = knowledge.transpose()?;
+        let knowledge = Knowledge::new(accelerometer, gyroscope)?;
         let compass = Compass::new(compass, compass_delay_us, declination_deg)?;
         let single = Single {
-            pipeline: compass.added_to(pipeline(&settings, knowledge)),
+            pipeline: compass.added_to(knowledge.pipeline(&settings)),
             plateaus: Plateaus::default(),
+            times: SingleTimes::default(),
         };
         Ok(Self {
             settings,
             knowledge,
             compass,
-            has_rate: rate_hz.is_some(),
+            rate_hz,
             single: Mutex::new(single),
         })
     }
@@ -177,6 +225,9 @@ impl Kalman {
     ///
     /// `mag` is a new reading of the compass, microtesla in the sensor's axes. The next attitudes
     /// use it. `armed` is True in flight: the filter then takes no steady motion for a rest.
+    ///
+    /// `t_us` is whole microseconds, and counted on where a clock of 32 bits begins again. Raises
+    /// ValueError if the first steps are not those of `rate_hz`.
     #[pyo3(signature = (t_us, gyro, accel, mag=None, *, armed=false))]
     fn update(
         &self,
@@ -186,18 +237,19 @@ impl Kalman {
         mag: Option<&Bound<'_, PyAny>>,
         armed: bool,
     ) -> PyResult<Attitude> {
-        if !self.has_rate {
-            return Err(PyValueError::new_err(
-                "`update` needs the rate: Kalman(rate_hz=…)",
-            ));
-        }
+        let rate_hz = self
+            .rate_hz
+            .ok_or_else(|| PyValueError::new_err("`update` needs the rate: Kalman(rate_hz=…)"))?;
         let t_us = time_us(t_us)?;
         let (gyro, accel) = (three(gyro, "gyro")?, three(accel, "accel")?);
         let mag = mag.map(|mag| three(mag, "mag")).transpose()?;
         let mount = self.settings.mount();
         // No thread waits here: each holds the interpreter's lock meanwhile.
         let mut single = self.single.lock().unwrap_or_else(PoisonError::into_inner);
-        let Single { pipeline, plateaus } = &mut *single;
+        let t_us = single.times.next(t_us, rate_hz)?;
+        let Single {
+            pipeline, plateaus, ..
+        } = &mut *single;
         let sample = sample(mount, plateaus, t_us, gyro, accel);
         pipeline.pipeline_mut().set_armed(armed);
         let snapshot = pipeline.update_sample(&sample);
@@ -229,7 +281,8 @@ impl Kalman {
     /// Parameters
     /// ----------
     /// t_us : array (n,) or Recording
-    ///     Times, whole microseconds. Seconds, milliseconds in float, and datetime64 are refused.
+    ///     Times, whole microseconds. Other units and datetime64 are refused. Those of a clock of
+    ///     32 bits are counted on where it begins again, with a warning.
     ///     A recording has the other columns too, and what is known of its accelerometer:
     ///     `Kalman().run(recording)` gives the bits of `aplomb replay`.
     /// gyro : array (n, 3)
@@ -241,7 +294,13 @@ impl Kalman {
     /// armed : array (n,) of bool, optional
     ///     True in flight: the filter then takes no steady motion for a rest, and measures
     ///     nothing at a rest. Without it, the filter is never armed.
-    #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None))]
+    /// check_units : bool
+    ///     False takes the arrays as they are. True (the default) checks their units as `read_log`
+    ///     does. A recording was checked before.
+    ///
+    /// Raises ValueError if the numbers suggest another unit, with what to pass. Warns with
+    /// UserWarning if they may be in another unit, or if the rates do not fit the force.
+    #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None, check_units=true))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(
         &self,
@@ -251,9 +310,15 @@ impl Kalman {
         accel: Option<Bound<'py, PyAny>>,
         mag: Option<Bound<'py, PyAny>>,
         armed: Option<Bound<'py, PyAny>>,
+        check_units: bool,
     ) -> PyResult<Attitudes> {
         let input = Input::new(python, t_us, [gyro, accel, mag, armed])?;
-        let times = times_us(&input.t_us)?;
+        let mut times = times_us(&input.t_us)?;
+        if !input.is_recording && count_on(&mut times) {
+            let text = "t_us begins again, as a clock of 32 bits does after 71.6 minutes: it is \
+                        counted on";
+            warn(python, text.to_owned())?;
+        }
         let count = times.len();
         let gyro = Vectors::of_count(&input.gyro, "gyro", count)?;
         let accel = Vectors::of_count(&input.accel, "accel", count)?;
@@ -261,10 +326,12 @@ impl Kalman {
         let mag = mag.transpose()?;
         let armed = (input.armed.as_ref()).map(|armed| states(armed, count));
         let armed = armed.transpose()?;
-        let knowledge = self.knowledge.or(input.knowledge);
-        let mut run = Run::new(self, knowledge, &times, mag.is_some());
+        let mut run = Run::new(self, input.knowledge, &times, mag.is_some());
         let (gyro, accel) = (gyro.view(), accel.view());
         let mag = mag.as_ref().map(Vectors::view);
+        let mut units = (check_units && !input.is_recording)
+            .then(|| Units::new(&times, self.rate_hz, gyro, accel, mag))
+            .transpose()?;
         for first in (0..times.len()).step_by(BLOCK_ROWS) {
             let block = first..times.len().min(first + BLOCK_ROWS);
             // Other threads may change the arrays as soon as the lock is free.
@@ -272,6 +339,10 @@ impl Kalman {
             for row in block.clone() {
                 let (gyro, accel) = (vector(gyro, row), vector(accel, row));
                 let sample = sample(run.mount, &mut run.plateaus, times[row], gyro, accel);
+                if let Some(units) = &mut units {
+                    let is_saturated = sample.is_force_saturated || sample.is_rate_saturated;
+                    units.row(row, times[row], [gyro, accel], is_saturated)?;
+                }
                 run.samples.push(sample);
             }
             run.armed.clear();
@@ -286,6 +357,7 @@ impl Kalman {
             // Ctrl-C.
             python.check_signals()?;
         }
+        units.map_or(Ok(()), |units| units.end(python))?;
         run.columns.into_arrays(python, times)
     }
 }
@@ -299,6 +371,8 @@ struct Input<'py> {
     armed: Option<Bound<'py, PyAny>>,
     /// Knowledge of the accelerometer that the recording states.
     knowledge: Option<AccelerometerKnowledge>,
+    /// True for the columns of a recording, whose units and times were checked before.
+    is_recording: bool,
 }
 
 impl<'py> Input<'py> {
@@ -327,6 +401,7 @@ impl<'py> Input<'py> {
             mag,
             armed,
             knowledge: None,
+            is_recording: false,
         })
     }
 }
@@ -348,6 +423,7 @@ impl Recording {
             mag: mag.or_else(|| own_mag.map(|mag| mag.bind(python).clone().into_any())),
             armed: armed.or_else(|| own_armed.map(|armed| armed.bind(python).clone().into_any())),
             knowledge: (self.accelerometer).and_then(AccelerometerKnowledge::from_name),
+            is_recording: true,
         }
     }
 }
@@ -373,19 +449,21 @@ struct Run {
 impl Run {
     fn new(
         kalman: &Kalman,
-        knowledge: Option<AccelerometerKnowledge>,
+        stated: Option<AccelerometerKnowledge>,
         times: &[i64],
         has_compass: bool,
     ) -> Self {
+        let mut knowledge = kalman.knowledge;
+        knowledge.accelerometer = knowledge.accelerometer.or(stated);
         let mut settings = kalman.settings;
-        if !kalman.has_rate {
+        if kalman.rate_hz.is_none() {
             let first = times.len().min(ROWS_AHEAD);
             settings.sensor.sample_rate_divider = sample_rate_divider(&times[..first]);
         }
         Self {
             mount: settings.mount(),
             compass: kalman.compass,
-            pipeline: (kalman.compass).added_to(pipeline(&settings, knowledge)),
+            pipeline: (kalman.compass).added_to(knowledge.pipeline(&settings)),
             plateaus: Plateaus::default(),
             columns: Columns::with_capacity(times.len(), has_compass),
             samples: Vec::with_capacity(BLOCK_ROWS.min(times.len())),
@@ -409,14 +487,6 @@ impl Run {
                 .push(&snapshot, self.pipeline.pipeline(), heading);
         }
     }
-}
-
-/// Returns a pipeline. Without a statement the samples count as calibrated.
-fn pipeline(settings: &Settings, knowledge: Option<AccelerometerKnowledge>) -> Pipeline {
-    let mut pipeline = Pipeline::new(settings);
-    let knowledge = knowledge.unwrap_or(AccelerometerKnowledge::Calibrated);
-    pipeline.set_accelerometer_knowledge(knowledge);
-    pipeline
 }
 
 /// Returns a sample in body axes, of one in SI units and sensor axes. A clipped one is marked as

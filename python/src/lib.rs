@@ -6,6 +6,7 @@ mod copies;
 mod kalman;
 mod recording;
 mod times;
+mod units;
 mod vectors;
 
 use numpy::{PyArray1, PyArrayMethods as _};

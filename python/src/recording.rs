@@ -1,6 +1,5 @@
 //! Recordings: read, simulated, and as a calibration.
 
-use std::ffi::CString;
 use std::fmt::Display;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -18,11 +17,12 @@ use library::calibration::accelerometer::fit;
 use library::estimator::kalman::AccelerometerKnowledge;
 use library::units::STANDARD_GRAVITY_M_S2;
 use numpy::{PyArray1, PyArray2, PyArrayMethods as _};
-use pyo3::exceptions::{PyUserWarning, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::copies::not_pickled;
+use crate::units::{INSTEAD_OF_COUNTS, warn};
 use crate::vectors::Vectors;
 
 /// Longest simulation, s.
@@ -221,10 +221,8 @@ pub fn read_log(
         Ok::<_, String>((columns, notices))
     });
     let (columns, notices) = read.map_err(|error| PyValueError::new_err(arguments(error)))?;
-    let category = python.get_type::<PyUserWarning>();
     for notice in notices {
-        let text = CString::new(arguments(notice).replace('\0', " "))?;
-        PyErr::warn(python, &category, &text, 1)?;
+        warn(python, arguments(notice))?;
     }
     columns.into_arrays(python)
 }
@@ -234,8 +232,6 @@ const COUNT_OPTIONS: [&str; 2] = [
     "(--raw)",
     "(add --raw and both ranges, for replay, plot and calibrate)",
 ];
-/// Advice on register counts for Python.
-const INSTEAD_OF_COUNTS: &str = "(multiply them by full scale / 32768)";
 
 /// Returns the choice of an argument.
 fn choice<T>(argument: &str, name: Option<&str>) -> PyResult<Option<T>>

@@ -304,6 +304,176 @@ def test_times_in_another_unit_are_named():
             aplomb.Kalman(rate_hz=100).update(time_us, gyro[0], force[0])
 
 
+def rolling(rate_hz, seconds):
+    """Returns seconds, rates and forces of a body that rolls to and fro."""
+    time_s = np.arange(rate_hz * seconds) / rate_hz
+    roll = 1.2 * np.sin(1.1 * time_s)
+    zero = np.zeros_like(roll)
+    gyro = np.column_stack([1.32 * np.cos(1.1 * time_s), zero, zero])
+    return time_s, gyro, 9.80665 * np.column_stack([zero, np.sin(roll), np.cos(roll)])
+
+
+def test_whole_times_in_another_unit_are_refused():
+    for rate_hz, per_second, dtype, rate, reason in [
+        (100, 10**3, np.int64, None, "did you mean ms (pass t_us * 1000)"),
+        (100, 10**3, np.uint32, None, "did you mean ms (pass t_us * 1000)"),
+        (100, 10**3, float, None, "in milliseconds np.round(t * 1e3)"),
+        (20, 10**3, np.int64, None, "did you mean ms (pass t_us * 1000)"),
+        (20, 10**3, np.int64, 20, "of times in milliseconds pass t * 1000"),
+        (100, 10**9, np.int64, None, "did you mean ns (pass t_us // 1000)"),
+        (100, 10**9, np.int64, 100, "of times in nanoseconds pass t // 1000"),
+        (1, 1, np.int64, 1, "of times in seconds pass t * 1e6"),
+        (100, 10**9, float, None, "did you mean ns (pass t_us // 1000)"),
+    ]:
+        time_s, gyro, force = rolling(rate_hz, 20)
+        times = np.round(time_s * per_second).astype(dtype)
+        with pytest.raises(ValueError) as error:
+            aplomb.Kalman(rate).run(times, gyro, force)
+        assert reason in str(error.value) and "--" not in str(error.value)
+        if dtype != float:
+            assert len(aplomb.Kalman(rate).run(times, gyro, force, check_units=False)) == len(times)
+        if rate is None or dtype == float:
+            continue
+        single = aplomb.Kalman(rate)
+        with pytest.raises(ValueError, match="or correct rate_hz"):
+            for row in range(8):
+                single.update(int(times[row]), gyro[row], force[row])
+        assert row == 7
+    # One second between rows is no use to the filter, but the rate states it.
+    time_s, gyro, force = rolling(1, 20)
+    assert len(aplomb.Kalman(rate_hz=1).run((time_s * 1e6).astype(np.int64), gyro, force)) == 20
+    # Samples that come late, twice or after a pause say nothing about the unit.
+    single = aplomb.Kalman(rate_hz=100)
+    for t_us in [0, 0, -5, 40_000, 50_000, 45_000, 9_000_000, *range(9_010_000, 9_200_000, 10_000)]:
+        single.update(t_us, [0, 0, 0], [0, 0, 9.8])
+
+
+def test_a_clock_of_32_bits_is_counted_on(tmp_path):
+    recording = aplomb.simulate(seconds=4)
+    columns = (recording.gyro, recording.accel)
+    begin_us = 2**32 - 2_000_000
+    expected = aplomb.Kalman().run(recording.t_us + begin_us, *columns)
+    unsigned = (recording.t_us + begin_us).astype(np.uint32)
+    signed = (recording.t_us + begin_us + 2**31).astype(np.uint32).astype(np.int32)
+    assert unsigned[-1] < unsigned[0] and signed[-1] < signed[0]
+    for times, first_us in [
+        (unsigned, 0),
+        (unsigned.astype(np.int64), 0),
+        (unsigned.astype(float), 0),
+        (signed, -(2**31)),
+    ]:
+        with pytest.warns(UserWarning, match="t_us begins again.*counted on") as found:
+            attitudes = aplomb.Kalman().run(times, *columns)
+        assert found[0].filename == __file__
+        assert np.array_equal(attitudes.t_us - first_us, expected.t_us)
+        assert np.array_equal(attitudes.quaternion, expected.quaternion)
+        assert np.array_equal(attitudes.flags, expected.flags)
+    single = aplomb.Kalman(rate_hz=1000)
+    for row, t_us in enumerate(unsigned):
+        attitude = single.update(t_us, *(column[row] for column in columns))
+        assert attitude.t_us == expected.t_us[row]
+        assert attitude.flags == expected.flags[row]
+    # As the program does.
+    path = tmp_path / "wrapped.csv"
+    rows = [",".join(map(str, row)) for row in zip(unsigned, *recording.accel.T, *recording.gyro.T)]
+    path.write_text("t_us,ax,ay,az,gx,gy,gz\n" + "\n".join(rows) + "\n")
+    quaternion, _, _ = replay(path, tmp_path)
+    assert np.array_equal(attitudes.quaternion.view(np.uint32), quaternion.view(np.uint32))
+
+
+def test_times_that_their_type_rounds_are_refused():
+    time_s, gyro, force = rolling(100, 20)
+    fast = np.arange(2_000) * 1000
+    aplomb.Kalman().run(np.arange(2_000, dtype=np.float32) * 1000, gyro, force)
+    for dtype, times, reason in [
+        (np.float32, fast + 3.6e9, "t_us is float32, which rounds 3601999104 to 256 µs"),
+        (np.float16, np.arange(2_000) * 32, "t_us is float16, which rounds 63968 to 32 µs"),
+    ]:
+        with pytest.raises(ValueError) as error:
+            aplomb.Kalman().run(times.astype(dtype), gyro, force)
+        assert reason in str(error.value) and "take int64 or float64" in str(error.value)
+    # Rounded by 0.26 ms, steps of 10 ms are right.
+    slow = (time_s * 1e6 + 3.6e9).astype(np.float32)
+    assert aplomb.Kalman().run(slow, gyro, force).is_valid[-1]
+
+
+def test_arrays_in_other_units_are_named():
+    time_s, gyro, force = rolling(100, 20)
+    t_us = np.round(time_s * 1e6).astype(np.int64)
+    field = np.tile([20.0, 0, 44], (len(t_us), 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        aplomb.Kalman().run(t_us, gyro, force, field)
+    rest = np.full_like(gyro, 3)
+    for columns, reason in [
+        ((np.degrees(gyro), force), "did you mean °/s (pass np.radians(gyro))"),
+        ((rest, np.tile(force[:1], (len(t_us), 1))), "did you mean °/s (pass np.radians(gyro))"),
+        ((gyro, force / 9.80665), "did you mean g (pass accel * 9.80665)"),
+        ((gyro, force / 0.00980665), "did you mean mg (pass accel * 0.00980665)"),
+        ((gyro, force * 209), "register counts (multiply them by full scale / 32768)"),
+        ((gyro, force, field * 1e-6), "did you mean T (pass mag * 1e6)"),
+        ((gyro, force, field * 1e-2), "did you mean G (pass mag * 100)"),
+        ((gyro, force, field / 48.33), "did you mean normalized (pass mag * 50)"),
+    ]:
+        with pytest.raises(ValueError) as error:
+            aplomb.Kalman().run(t_us, *columns)
+        text = str(error.value)
+        assert reason in text and "add check_units=False" in text and "--" not in text
+        assert len(aplomb.Kalman().run(t_us, *columns, check_units=False)) == len(t_us)
+    for columns, reason in [
+        ((-gyro, force), "the rates do not fit the force: .*Check the unit of the rates, and"),
+        ((gyro[:, [1, 0, 2]], force), "the rates do not fit the force"),
+        ((gyro, force, field * 10), "if it is mG, pass mag . 0.1; .*add check_units=False"),
+    ]:
+        with pytest.warns(UserWarning, match=reason) as found:
+            aplomb.Kalman().run(t_us, *columns)
+        assert len(found) == 1 and "--" not in str(found[0].message)
+    # Rows that are no measurement are left to the flags, and one spike is named.
+    damaged = force.copy()
+    damaged[500] = np.nan
+    attitudes = aplomb.Kalman().run(t_us, gyro, damaged)
+    assert attitudes.flags[500] & aplomb.REJECTED
+    damaged[500] = [0, 5000, 0]
+    with pytest.raises(ValueError, match="in row 500 ay is 5000"):
+        aplomb.Kalman().run(t_us, gyro, damaged)
+    # A recording was checked before.
+    recording = aplomb.simulate(seconds=2)
+    assert len(aplomb.Kalman().run(recording, mag=recording.accel * 1e-9)) == len(recording)
+
+
+def test_the_gyroscope_may_be_as_it_came(log, tmp_path):
+    recording = aplomb.read_log(log)
+
+    def run(**knowledge):
+        return aplomb.Kalman(**knowledge).run(recording)
+
+    for accelerometer, gyroscope in [
+        ("factory", "factory"),
+        ("six-poses", "factory"),
+        ("calibrated", "calibrated"),
+    ]:
+        implied = run(accelerometer=accelerometer)
+        stated = run(accelerometer=accelerometer, gyroscope=gyroscope)
+        assert np.array_equal(stated.quaternion, implied.quaternion)
+        assert np.array_equal(stated.tilt_sigma_rad, implied.tilt_sigma_rad)
+        assert np.array_equal(stated.flags, implied.flags)
+    # The recording states its accelerometer: factory.
+    stated = run(gyroscope="calibrated")
+    assert np.array_equal(
+        stated.quaternion, run(accelerometer="factory", gyroscope="calibrated").quaternion
+    )
+    assert not np.array_equal(stated.quaternion, run().quaternion)
+    # Twelve poses at rest calibrate the accelerometer alone. These cross-axis terms change no bit.
+    calibration = tmp_path / "calibration.json"
+    calibration.write_text(
+        '{"offset_m_s2": [0, 0, 0], "matrix": [[1, 1e-30, 0], [1e-30, 1, 0], [0, 0, 1]]}'
+    )
+    quaternion, _, _ = replay(log, tmp_path, "--calibration", str(calibration))
+    found = run(accelerometer="calibrated", gyroscope="factory")
+    assert np.array_equal(found.quaternion.view(np.uint32), quaternion.view(np.uint32))
+    assert not np.array_equal(found.quaternion, run(accelerometer="calibrated").quaternion)
+
+
 def test_read_log_converts_units_and_its_messages_name_the_arguments(tmp_path):
     recording = aplomb.simulate(seconds=2)
 
@@ -373,6 +543,7 @@ def test_what_is_wrong_is_named(tmp_path):
         (lambda: aplomb.Kalman(mount="+x+x"), "such as +x-z"),
         (lambda: aplomb.Kalman(rate_hz=0), "above zero"),
         (lambda: aplomb.Kalman(accelerometer="good"), "six-poses"),
+        (lambda: aplomb.Kalman(gyroscope="six-poses"), "gyroscope is factory or calibrated"),
         (lambda: aplomb.Kalman().update(0, [0, 0, 0], [0, 0, 9.8]), "needs the rate"),
         (lambda: aplomb.Kalman(compass="good"), "factory, hard-iron or calibrated"),
         (lambda: aplomb.Kalman(declination_deg=190), "-180 to 180"),
@@ -557,7 +728,8 @@ def test_wild_values_give_finite_attitudes():
     values = random.integers(0, 2**63, (4000, 6), np.int64).view(np.float64)
     times = random.integers(-(2**62), 2**62, 4000)
     for mag in (None, values[::-1, :3]):
-        attitudes = aplomb.Kalman().run(times, values[:, :3], values[:, 3:], mag)
+        columns = (times, values[:, :3], values[:, 3:], mag)
+        attitudes = aplomb.Kalman().run(*columns, check_units=False)
         assert np.isfinite(attitudes.quaternion).all()
     empty = aplomb.Kalman().run(np.arange(0), np.zeros((0, 3)), np.zeros((0, 3)))
     assert empty.quaternion.shape == (0, 4)

@@ -21,9 +21,9 @@ pub const JUDGED_ROWS: usize = 256;
 const FEWEST_JUDGED_ROWS: usize = 8;
 
 /// Largest plausible force, m/s² (100 g).
-const LARGEST_FORCE_M_S2: f64 = 1000.0;
+pub(crate) const LARGEST_FORCE_M_S2: f64 = 1000.0;
 /// Largest plausible rate, rad/s (4,100 °/s): sensors end at 4,000 °/s.
-const LARGEST_RATE_RAD_S: f64 = 72.0;
+pub(crate) const LARGEST_RATE_RAD_S: f64 = 72.0;
 /// Largest plausible rate in a log whose unit is given, rad/s (11,000 °/s).
 const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
 /// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who
@@ -152,6 +152,11 @@ impl Judge {
         })
     }
 
+    /// Returns whether the times may be milliseconds, so that [`watch`](Self::watch) is needed.
+    pub(crate) fn is_watching(&self) -> bool {
+        self.watch.is_some()
+    }
+
     /// Watches the times and turns of a row that is used.
     ///
     /// # Errors
@@ -240,6 +245,16 @@ impl Judge {
 
     /// Checks the size of a row's values, which are in SI units.
     fn size(&mut self, row: &Row) -> Result<(), LogFault> {
+        self.spike(row)?;
+        self.rates(row)
+    }
+
+    /// Checks that a sensor can have measured the values of a row, in SI units.
+    ///
+    /// # Errors
+    ///
+    /// Returns the fault, with the unit that the numbers suggest.
+    pub(crate) fn spike(&self, row: &Row) -> Result<(), LogFault> {
         let force = row.specific_force_m_s2;
         if norm(force) > LARGEST_FORCE_M_S2 {
             return Err(implausible(
@@ -249,17 +264,15 @@ impl Judge {
                 "mg (--force-unit mg) or register counts (--raw)",
             ));
         }
-        let rate = norm(row.rates_rad_s);
-        let is_given = self.options.rate_unit.is_some();
-        let largest = if is_given {
+        let largest = if self.options.rate_unit.is_some() {
             LARGEST_GIVEN_RATE_RAD_S
         } else {
             LARGEST_RATE_RAD_S
         };
-        if rate > largest {
+        if norm(row.rates_rad_s) > largest {
             return Err(implausible(row.rates_rad_s, 4, "rad/s", MEANT_RATES));
         }
-        self.rates(row)
+        Ok(())
     }
 
     /// Checks that the rates until this row are in rad/s, whatever single rows hold. A unit that

@@ -8,8 +8,16 @@ const NEAR_US: i64 = 60_000_000;
 const FIRST_US: [i64; 2] = [0, -(1 << 31)];
 
 /// Count of a clock's wraps, row by row.
+///
+/// ```
+/// use aplomb_recordings::wrap::Wraps;
+///
+/// let mut wraps = Wraps::default();
+/// assert_eq!(wraps.count(4_294_967_000), (4_294_967_000, false));
+/// assert_eq!(wraps.count(704), (4_294_968_000, true));
+/// ```
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Wraps {
+pub struct Wraps {
     before_us: Option<i64>,
     offset_us: i64,
 }
@@ -17,7 +25,7 @@ pub(crate) struct Wraps {
 impl Wraps {
     /// Returns the time since the first row's period began, µs, and whether the clock has wrapped
     /// at this row.
-    pub(crate) fn count(&mut self, time_us: i64) -> (i64, bool) {
+    pub fn count(&mut self, time_us: i64) -> (i64, bool) {
         let before_us = self.before_us.replace(time_us).unwrap_or(time_us);
         let crosses = |before_us: i64, time_us: i64| {
             FIRST_US.into_iter().any(|first_us| {

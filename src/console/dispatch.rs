@@ -183,11 +183,14 @@ impl Console {
         requested.unwrap_or(self.working.preferences.baud)
     }
 
-    /// Keeps a new baud rate, because the other end was understood at it.
-    pub fn confirm_baud(&mut self) {
-        if let Some(baud) = self.baud.confirm() {
+    /// Keeps a new baud rate, because the other end was understood at it. Returns whether there was
+    /// one.
+    pub fn confirm_baud(&mut self) -> bool {
+        let confirmed = self.baud.confirm();
+        if let Some(baud) = confirmed {
             self.working.preferences.baud = baud;
         }
+        confirmed.is_some()
     }
 
     /// Runs a command unless it is refused.

@@ -418,7 +418,9 @@ impl Pipeline {
 
     /// Sets what is known of the accelerometer's offset, for samples that are calibrated elsewhere:
     /// those of a recording in SI units. With a calibrated accelerometer the gyroscope's scale and
-    /// cross-axis terms are calibrated too. Default: by the calibration of the settings.
+    /// cross-axis terms count as calibrated too, until
+    /// [`set_gyroscope_knowledge`](Self::set_gyroscope_knowledge). Default: by the calibration of
+    /// the settings.
     pub fn set_accelerometer_knowledge(&mut self, knowledge: AccelerometerKnowledge) {
         let gyroscope = match self.settings.gyroscope_knowledge() {
             GyroscopeKnowledge::Calibrated => GyroscopeKnowledge::Calibrated,
@@ -427,6 +429,14 @@ impl Pipeline {
         let kalman = self.kalman_mut();
         kalman.set_accelerometer_knowledge(knowledge);
         kalman.set_gyroscope_knowledge(gyroscope);
+    }
+
+    /// Sets what is known of the gyroscope's scale and cross-axis terms, for samples that are
+    /// calibrated elsewhere. Call it after
+    /// [`set_accelerometer_knowledge`](Self::set_accelerometer_knowledge). Default: by the
+    /// calibration of the settings.
+    pub fn set_gyroscope_knowledge(&mut self, knowledge: GyroscopeKnowledge) {
+        self.kalman_mut().set_gyroscope_knowledge(knowledge);
     }
 
     /// Arms (`true`) the filter. An armed filter skips the updates that are only safe on the

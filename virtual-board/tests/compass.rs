@@ -356,8 +356,8 @@ fn a_compass_that_is_not_the_named_one_is_reported() {
     assert!(!has_flag(&outcome));
 }
 
-/// Each burst of this sensor ends in 0xFF, as if it had released the bus. That makes a burst invalid
-/// only if the bus error was in that burst.
+/// Each burst of this sensor ends in 0xFF, as if it had released the bus. That loses a
+/// burst only if the bus error was in that burst.
 #[test]
 fn a_bus_error_in_a_compass_read_costs_no_burst() {
     let mut chip = SensorErrors::none();

@@ -740,7 +740,7 @@ fn saving(mut case: Case, save_s: f64) -> Case {
 /// of the watchdog in Hz, course, faults, and the flaw.
 ///
 /// A seed draws the same flight, until a kind of fault is added to those that seeds draw.
-const ONCE_FAILED: [(u64, u64, Course, &str, &str); 21] = [
+const ONCE_FAILED: [(u64, u64, Course, &str, &str); 22] = [
     (
         160_000_236,
         37_047,

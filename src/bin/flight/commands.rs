@@ -131,13 +131,11 @@ impl Commands {
                 .answer(ticket, command, answered, console.is_busy());
             kind = Some(answered);
         }
-        if port.station.session.take_has_frame() {
-            console.confirm_baud();
-        }
+        let has_new_baud = port.station.session.take_has_frame() && console.confirm_baud();
         if !console.is_busy() && console.running().is_none() {
             port.station.cancel_pending();
         }
-        if kind.is_some() {
+        if kind.is_some() || has_new_baud {
             // The supervisor cannot run before this, so a job that begins here has this record.
             kept_record::keep(console.working());
         }

@@ -321,7 +321,10 @@ fn put_frame(format: OutputFormat, snapshot: &Snapshot, counter: u8, output: &mu
     let frame = formats::encode(format, snapshot, counter, &mut frame);
     output.put(frame);
     let line = frame.strip_suffix(b"\n").unwrap_or(frame);
-    if let Ok(line) = core::str::from_utf8(line) {
+    // By chance a Teapot packet is text too.
+    if format != OutputFormat::Teapot
+        && let Ok(line) = core::str::from_utf8(line)
+    {
         defmt::info!("{=str}", line);
     }
 }

@@ -324,15 +324,33 @@ impl BurstReader {
         retained::count(FaultClass::AttitudeLate);
     }
 
-    /// Returns whether the sensor may have released the bus before the end of a suspect burst: the
-    /// last byte is 0xFF. The next burst is not suspect.
+    /// Returns whether the sensor may have released the bus before the end of a suspect burst. The
+    /// next burst is not suspect.
     #[cold]
     #[inline(never)]
     fn take_lost_sensor(&mut self) -> bool {
         self.is_suspect = false;
         // SAFETY: the transfer into this buffer is complete, and the buffer is not offered yet.
-        let received = unsafe { &*BUFFERS.0[self.buffer as usize].get() };
-        received.burst.bytes.ends_with(&[0xFF])
+        unsafe { &*BUFFERS.0[self.buffer as usize].get() }.has_lost_end()
+    }
+
+    /// Takes a burst back whose last byte came with a bus error: if both interrupts are pending,
+    /// that of the transfer comes first.
+    #[cold]
+    #[inline(never)]
+    fn withdraw_lost_burst(&mut self) {
+        let buffer = match READY.load(Ordering::Relaxed) {
+            NONE_READY | TAKEN => return,
+            1 => BufferIndex::First,
+            _ => BufferIndex::Second,
+        };
+        // SAFETY: the attitude task has not taken this buffer, and waits until this interrupt ends.
+        let received = unsafe { &*BUFFERS.0[buffer as usize].get() };
+        if received.has_lost_end() {
+            READY.store(NONE_READY, Ordering::Relaxed);
+            self.missed = received.burst.missed_before.saturating_add(1);
+            self.flags |= received.flags | BoardFlags::BUS_FAULT;
+        }
     }
 
     /// Makes the next steps read a burst.
@@ -358,7 +376,11 @@ impl BurstReader {
             // The chip may flag a bus error that did not happen (errata): the transfer continues.
             // After a real one the sensor acknowledges nothing more, or releases the bus.
             retained::count(FaultClass::BusError);
-            self.is_suspect = self.step == BurstStep::Data;
+            match self.step {
+                BurstStep::Data => self.is_suspect = true,
+                BurstStep::Idle => self.withdraw_lost_burst(),
+                _ => {}
+            }
             return;
         } else {
             BurstFault::Overrun
@@ -462,6 +484,13 @@ pub struct ReceivedBurst {
     pub flags: BoardFlags,
 }
 
+impl ReceivedBurst {
+    /// Returns whether the last byte is 0xFF, as after a sensor that has released the bus.
+    const fn has_lost_end(&self) -> bool {
+        self.burst.bytes[BURST_LENGTH - 1] == 0xFF
+    }
+}
+
 /// Index of a burst buffer.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum BufferIndex {
@@ -503,9 +532,11 @@ const EMPTY: ReceivedBurst = ReceivedBurst {
     flags: BoardFlags::empty(),
 };
 
-/// Buffer that is ready for the attitude task, plus one; or [`NONE_READY`].
+/// Buffer that is ready for the attitude task, plus one; [`NONE_READY`]; or [`TAKEN`].
 static READY: AtomicU8 = AtomicU8::new(NONE_READY);
 const NONE_READY: u8 = 0;
+/// The attitude task reads a buffer.
+const TAKEN: u8 = 3;
 
 /// Returns whether the attitude task has returned the buffer that it took. Only the reader calls
 /// this.
@@ -536,6 +567,7 @@ pub(super) fn take<R>(work: impl FnOnce(&ReceivedBurst) -> R) -> Option<R> {
         1 => BufferIndex::First,
         _ => BufferIndex::Second,
     };
+    READY.store(TAKEN, Ordering::Relaxed);
     compiler_fence(Ordering::Acquire);
     // SAFETY: while a buffer is ready the reader neither writes it nor points DMA at it.
     let result = work(unsafe { &*BUFFERS.0[buffer as usize].get() });
