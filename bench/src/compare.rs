@@ -77,7 +77,7 @@ pub struct Options {
     /// (minutes)
     #[arg(long, group = "instead")]
     leave_one_out: bool,
-    /// Instead: the gains with which the filters of other crates do best on the recordings
+    /// Instead: the gains with which the filters of others do best on the recordings
     /// (minutes)
     #[arg(long, group = "instead")]
     scan_gains: bool,

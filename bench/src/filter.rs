@@ -5,7 +5,7 @@ use aplomb::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalm
 use aplomb::estimator::{Estimate, Estimator, Sample};
 use aplomb_recordings::attitude::extrapolate;
 
-use crate::peers::{self, Fusion, Gains, Madgwick, Mahony, Peer, Vqf, VqfAsIs};
+use crate::peers::{self, Fusion, Gains, Madgwick, Mahony, Peer, Vqf};
 
 /// A filter to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,10 +16,8 @@ pub enum Choice {
     AxisKalman,
     /// The tutorial's formulas.
     Classic,
-    /// VQF without magnetometer, of the `vqf` crate, with two corrections.
+    /// VQF without magnetometer.
     Vqf,
-    /// VQF as the crate has it.
-    VqfAsIs,
     /// x-io Technologies' Fusion, of the `fusion-ahrs` crate.
     Fusion,
     /// Madgwick's, of the `ahrs` crate.
@@ -30,25 +28,18 @@ pub enum Choice {
 
 impl Choice {
     /// Every filter: the library's, its default first, then the others.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 7] = [
         Self::Kalman,
         Self::AxisKalman,
         Self::Classic,
         Self::Vqf,
-        Self::VqfAsIs,
         Self::Fusion,
         Self::Madgwick,
         Self::Mahony,
     ];
 
-    /// Filters of other crates.
-    pub const PEERS: [Self; 5] = [
-        Self::Vqf,
-        Self::VqfAsIs,
-        Self::Fusion,
-        Self::Madgwick,
-        Self::Mahony,
-    ];
+    /// Filters of others.
+    pub const PEERS: [Self; 4] = [Self::Vqf, Self::Fusion, Self::Madgwick, Self::Mahony];
 
     /// Returns the name.
     pub const fn name(self) -> &'static str {
@@ -57,14 +48,13 @@ impl Choice {
             Self::AxisKalman => "axis-kalman",
             Self::Classic => "classic",
             Self::Vqf => "vqf",
-            Self::VqfAsIs => "vqf as is",
             Self::Fusion => "fusion",
             Self::Madgwick => "madgwick",
             Self::Mahony => "mahony",
         }
     }
 
-    /// Returns the gains in use, of another crate's filter.
+    /// Returns the gains in use, of a filter of others.
     pub const fn gains(self) -> Option<Gains> {
         const fn of<F: peers::Filter>() -> Option<Gains> {
             Some(F::GAINS)
@@ -72,7 +62,6 @@ impl Choice {
         match self {
             Self::Kalman | Self::AxisKalman | Self::Classic => None,
             Self::Vqf => of::<Vqf>(),
-            Self::VqfAsIs => of::<VqfAsIs>(),
             Self::Fusion => of::<Fusion>(),
             Self::Madgwick => of::<Madgwick>(),
             Self::Mahony => of::<Mahony>(),
@@ -115,7 +104,7 @@ impl Filter {
         self
     }
 
-    /// Creates a filter, with other gains than those in use if it is another crate's.
+    /// Creates a filter, with other gains than those in use if it is one of others.
     pub fn with_gains(choice: Choice, step_s: f32, delay_us: u32, gains: Option<Gains>) -> Self {
         let variant = match choice {
             Choice::Kalman => return Self::with_tuning(&Tuning::DEFAULT, delay_us),
@@ -125,7 +114,6 @@ impl Filter {
             Choice::Madgwick => Variant::Peer(Peer::new::<Madgwick>(step_s, gains)),
             Choice::Fusion => Variant::Peer(Peer::new::<Fusion>(step_s, gains)),
             Choice::Vqf => Variant::Peer(Peer::new::<Vqf>(step_s, gains)),
-            Choice::VqfAsIs => Variant::Peer(Peer::new::<VqfAsIs>(step_s, gains)),
         };
         Self {
             variant,
@@ -174,22 +162,27 @@ mod tests {
     use aplomb::units::{STANDARD_GRAVITY_M_S2, radians};
     use aplomb_recordings::attitude::up_in_body;
 
-    const STEP_S: f32 = 0.005;
-
     /// Returns the angle between a filter's "up" and the true one in degrees, after turning at this
     /// rate.
-    fn error_degrees(choice: Choice, start: EulerAngles, rate_rad_s: Vector3, steps: u32) -> f32 {
-        let mut filter = Filter::new(choice, STEP_S, 0);
+    fn error_degrees(
+        choice: Choice,
+        step_us: u32,
+        start: EulerAngles,
+        rate_rad_s: Vector3,
+        steps: u32,
+    ) -> f32 {
+        let step_s = step_us as f32 * 1e-6;
+        let mut filter = Filter::new(choice, step_s, 0);
         let mut truth = Quaternion::from_euler(start);
         let mut estimate = Estimate::default();
         for step in 0..steps {
             estimate = filter.update(&Sample::new(
-                u64::from(step) * 5_000,
+                u64::from(step * step_us),
                 BodyVector(up_in_body(truth).scale(STANDARD_GRAVITY_M_S2)),
                 BodyVector(rate_rad_s),
             ));
             if step + 1 < steps {
-                let turn = Quaternion::from_rotation_vector(rate_rad_s.scale(STEP_S));
+                let turn = Quaternion::from_rotation_vector(rate_rad_s.scale(step_s));
                 truth = truth.multiply(turn).normalize();
             }
         }
@@ -198,10 +191,19 @@ mod tests {
         sine.atan2(estimated.dot(expected)).to_degrees()
     }
 
+    /// A low-pass filter in `f32` loses gravity at 1 kHz.
     #[test]
     fn every_filter_finds_gravity_at_rest_in_the_same_axes() {
+        let tilts = [
+            (0.0, 0.0),
+            (5.0, 0.0),
+            (20.0, 0.0),
+            (40.0, 0.0),
+            (0.0, -35.0),
+            (-20.0, 50.0),
+        ];
         for choice in Choice::ALL {
-            for (roll, pitch) in [(0.0, 0.0), (40.0, 0.0), (0.0, -35.0), (-20.0, 50.0)] {
+            for (roll, pitch) in tilts {
                 // The classic angles are no Euler angles: each is right alone.
                 if choice == Choice::Classic && roll * pitch != 0.0 {
                     continue;
@@ -211,14 +213,11 @@ mod tests {
                     pitch_rad: radians(pitch),
                     yaw_rad: 0.0,
                 };
-                let error = error_degrees(choice, start, Vector3::ZERO, 10_000);
-                // At low frequencies `f32` is too short for the second-order low-pass of the vqf
-                // crate.
-                let limit = match choice {
-                    Choice::Vqf | Choice::VqfAsIs => 1.5,
-                    _ => 0.1,
-                };
-                assert!(error < limit, "{} {roll} {pitch}: {error}", choice.name());
+                for (step_us, steps) in [(5_000, 10_000), (1_000, 30_000)] {
+                    let error = error_degrees(choice, step_us, start, Vector3::ZERO, steps);
+                    let name = choice.name();
+                    assert!(error < 0.1, "{name} {roll} {pitch} {step_us} µs: {error}");
+                }
             }
         }
     }
@@ -229,7 +228,7 @@ mod tests {
         // 0.2°.
         let rate = Vector3::new(0.0, radians(90.0), 0.0);
         for choice in Choice::ALL {
-            let error = error_degrees(choice, EulerAngles::default(), rate, 67);
+            let error = error_degrees(choice, 5_000, EulerAngles::default(), rate, 67);
             // The classic filter lags by design.
             let limit = match choice {
                 Choice::Classic => 1.0,

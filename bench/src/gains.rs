@@ -1,4 +1,4 @@
-//! `aplomb-bench --scan-gains`: the best gains of the filters of other crates on these recordings.
+//! `aplomb-bench --scan-gains`: the best gains of the filters of others on these recordings.
 //!
 //! Every gain is tried on every recording with truth. The best has the least mean error, with equal
 //! weights for all sets.
@@ -85,7 +85,7 @@ fn candidates(choice: Choice) -> Vec<Gains> {
         Choice::Mahony => pairs(&GAIN, &INTEGRAL_GAIN),
         Choice::Madgwick => pairs(&GAIN, &[0.0]),
         Choice::Fusion => pairs(&GAIN, &REJECTION_DEGREES),
-        Choice::Vqf | Choice::VqfAsIs => pairs(&TIME_S, &[0.0]),
+        Choice::Vqf => pairs(&TIME_S, &[0.0]),
     };
     candidates.extend(choice.gains().filter(|gains| !candidates.contains(gains)));
     candidates

@@ -11,7 +11,7 @@ use aplomb_recordings::heading::{HeadingErrors, HeadingScore, error_deg};
 use aplomb_recordings::score::{mean, median};
 
 use crate::compass::Compass;
-use crate::marg::{self, Choice};
+use crate::marg::{self, Choice, Times};
 use crate::parallel;
 use crate::recording::Recording;
 
@@ -99,10 +99,29 @@ pub fn run_peer(choice: Choice, recording: &Recording, note: impl FnMut(usize, Q
     let Some(compass) = &recording.compass else {
         return;
     };
-    let delays_s = [recording.delay_us, compass.delay_us].map(|delay| delay as f32 * 1e-6);
+    let times = Times {
+        step_s: recording.step_s(),
+        field_step_s: field_step_s(recording, compass),
+        delay_s: recording.delay_us as f32 * 1e-6,
+        age_s: compass.delay_us as f32 * 1e-6,
+    };
     let fields = compass.fields.iter().copied();
     let rows = recording.samples.iter().copied().zip(fields);
-    marg::run(choice, recording.step_s(), delays_s, rows, note);
+    marg::run(choice, times, rows, note);
+}
+
+/// Returns the mean time from one reading of the compass to the next, s; that of the samples if
+/// there are fewer than two.
+fn field_step_s(recording: &Recording, compass: &Compass) -> f32 {
+    let rows = recording.samples.iter().zip(&compass.fields);
+    let times_us = rows.filter_map(|(sample, field)| field.map(|_| sample.t_us));
+    let times_us: Vec<u64> = times_us.collect();
+    match times_us[..] {
+        [first, .., last] if last > first => {
+            (last - first) as f32 * 1e-6 / (times_us.len() - 1) as f32
+        }
+        _ => recording.step_s(),
+    }
 }
 
 /// Returns the truth of a row that counts.

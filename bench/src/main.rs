@@ -1,4 +1,4 @@
-//! `aplomb-bench`: the library's filters beside those of other crates, on the same recordings.
+//! `aplomb-bench`: the library's filters beside those of others, on the same recordings.
 
 mod accuracy;
 mod clipping;
@@ -28,6 +28,7 @@ mod throughput;
 #[cfg(test)]
 mod valid;
 mod vibration;
+mod vqf;
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! Filters of other crates behind one interface, under equal conditions.
+//! Filters of others behind one interface, under equal conditions.
 //!
 //! Each filter gets samples in forward-left-up axes and returns a rotation to an earth with z up.
 //! This module converts to and from the library's axes. A rate is that of its instant, so the mean
@@ -10,15 +10,18 @@
 //!
 //! Gains: one set for all recordings, the best that `aplomb-bench --scan-gains` found on 14 trials
 //! of BROAD and three rooms of TUM-VI by the mean error, with equal weights for both sets. VQF
-//! keeps the tuning of its authors, which is meant to fit everything.
+//! keeps the tuning of its authors, which is meant to fit everything ([`vqf`]).
 
-use std::time::Duration;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 use ahrs::Ahrs as _;
 use aplomb::attitude::{Quaternion, Vector3};
 use aplomb::estimator::{Estimate, LONGEST_STEP_US, Sample};
 use aplomb::units::{STANDARD_GRAVITY_M_S2, degrees};
+use aplomb_models::motion::geometry::Quaternion as Quaternion64;
 use nalgebra::UnitQuaternion;
+
+use crate::vqf;
 
 /// Step from one sample to the next, in forward-left-up axes.
 #[derive(Clone, Copy, Debug)]
@@ -64,7 +67,7 @@ pub trait Filter {
     fn attitude(&self) -> [f32; 4];
 }
 
-/// Filter of another crate, with the library's axes and timing.
+/// Filter of others, with the library's axes and timing.
 pub struct Peer {
     filter: Box<dyn Turning>,
     restart: fn([f32; 4], f32, Gains) -> Box<dyn Turning>,
@@ -148,80 +151,59 @@ pub fn tilt([x, y, z]: [f32; 3]) -> [f32; 4] {
     ]
 }
 
-/// VQF without magnetometer (Laidig and Seel 2022), of the unchanged `vqf` crate, with its default
-/// tuning.
-///
-/// Version 0.4.1 estimates the gyroscope's bias but does not remove it from the rates. It takes its
-/// threshold of rest, in degrees, for radians. [`Vqf`] is the filter as its authors describe it.
-pub struct VqfAsIs(vqf::Vqf);
-
-impl VqfAsIs {
-    fn with(parameters: vqf::VqfParameters, step_s: f32) -> Self {
-        let step = Duration::from_secs_f32(step_s);
-        Self(vqf::Vqf::new(step, step, parameters))
-    }
-}
-
-impl Filter for VqfAsIs {
-    /// Time constant of the accelerometer's correction, s, as its authors chose it.
-    const GAINS: Gains = [3.0, 0.0];
-
-    fn new(_: [f32; 4], step_s: f32, [time_s, _]: Gains) -> Self {
-        let parameters = vqf::VqfParameters {
-            tau_accelerometer: Duration::from_secs_f32(time_s),
-            ..Default::default()
-        };
-        Self::with(parameters, step_s)
-    }
-
-    fn step(&mut self, step: &Step) {
-        self.0.update(step.rates.into(), step.force.into());
-    }
-
-    fn attitude(&self) -> [f32; 4] {
-        let q = self.0.orientation();
-        [q.w, q.i, q.j, q.k]
-    }
-}
-
-/// VQF without magnetometer (Laidig and Seel 2022), of the `vqf` crate, with both faults of
-/// [`VqfAsIs`] corrected from outside, and the default tuning of its authors.
+/// VQF, with the default tuning of its authors but for its gain.
 pub struct Vqf {
-    filter: VqfAsIs,
-    step_s: f32,
+    filter: vqf::Vqf,
+    has_field: bool,
+}
+
+impl Vqf {
+    /// Creates a filter for samples that are `step_s` apart, and readings of the magnetometer that
+    /// are `field_step_s` apart.
+    pub fn with_magnetometer(step_s: f32, field_step_s: f32, [force_s, _]: Gains) -> Self {
+        // A whole number of microseconds, which `f32` rounds.
+        let exact = |step_s: f32| (f64::from(step_s) * 1e6).round() * 1e-6;
+        Self {
+            filter: vqf::Vqf::new(force_s.into(), exact(step_s), exact(field_step_s)),
+            has_field: false,
+        }
+    }
 }
 
 impl Filter for Vqf {
-    const GAINS: Gains = VqfAsIs::GAINS;
+    /// Time constant of the specific force's low-pass filter, s, as its authors chose it.
+    const GAINS: Gains = [vqf::FORCE_S as f32, 0.0];
 
-    fn new(_: [f32; 4], step_s: f32, [time_s, _]: Gains) -> Self {
-        let mut parameters = vqf::VqfParameters {
-            tau_accelerometer: Duration::from_secs_f32(time_s),
-            ..Default::default()
-        };
-        parameters.rest_threshold_gyro = parameters.rest_threshold_gyro.to_radians();
-        Self {
-            filter: VqfAsIs::with(parameters, step_s),
-            step_s,
-        }
+    fn new(_: [f32; 4], step_s: f32, gains: Gains) -> Self {
+        Self::with_magnetometer(step_s, step_s, gains)
     }
 
     fn step(&mut self, step: &Step) {
-        let filter = &mut self.filter.0;
-        let turned = filter.state.gyroscope;
-        let bias = filter.state.bias;
-        // The call updates the rest detection; its rotation is replaced.
-        filter.gyroscope_update(step.rates.into());
-        let turn = [0, 1, 2].map(|axis| (step.rates[axis] - bias[axis]) * self.step_s);
-        filter.state.gyroscope =
-            turned * nalgebra_of_vqf::UnitQuaternion::from_scaled_axis(turn.into());
-        filter.accelerometer_update(step.force.into());
+        let (rates, force) = (step.rates.map(f64::from), step.force.map(f64::from));
+        self.filter.update(rates, force);
+        if let Some(field) = step.field {
+            self.filter.update_field(field.map(f64::from));
+            self.has_field = true;
+        }
     }
 
     fn attitude(&self) -> [f32; 4] {
-        Filter::attitude(&self.filter)
+        let attitude = if self.has_field {
+            EAST_TO_NORTH.multiply(self.filter.attitude())
+        } else {
+            self.filter.level_attitude()
+        };
+        [attitude.w, attitude.x, attitude.y, attitude.z].map(|part| part as f32)
     }
 }
+
+/// Turn of the coordinates from east, north, up to north, west, up.
+const EAST_TO_NORTH: Quaternion64 = Quaternion64 {
+    w: FRAC_1_SQRT_2,
+    x: 0.0,
+    y: 0.0,
+    z: -FRAC_1_SQRT_2,
+};
 
 /// Madgwick's filter of 2010, of the `ahrs` crate.
 pub struct Madgwick(ahrs::Madgwick<f32>);

@@ -17,7 +17,7 @@ use aplomb::estimator::{Estimator, Filter, Sample};
 use aplomb_recordings::score::median;
 
 use crate::filter::Choice;
-use crate::peers::{self, Fusion, Madgwick, Mahony, Step, Vqf, VqfAsIs, tilt};
+use crate::peers::{self, Fusion, Madgwick, Mahony, Step, Vqf, tilt};
 use crate::recording::Recording;
 
 /// Runs of each filter through the recording.
@@ -81,7 +81,6 @@ fn run(choice: Choice, step_s: f32, samples: &[Sample], steps: &[Step]) {
         Choice::AxisKalman => run_library(AxisKalman::new(), samples),
         Choice::Classic => run_library(Tutorial::new(), samples),
         Choice::Vqf => run_peer::<Vqf>(step_s, steps),
-        Choice::VqfAsIs => run_peer::<VqfAsIs>(step_s, steps),
         Choice::Fusion => run_peer::<Fusion>(step_s, steps),
         Choice::Madgwick => run_peer::<Madgwick>(step_s, steps),
         Choice::Mahony => run_peer::<Mahony>(step_s, steps),

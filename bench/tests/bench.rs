@@ -114,12 +114,11 @@ fn check_names(csv: &str) {
         "unknown,resting.csv",
         "wrong,b.csv",
     ];
-    const FILTERS: [&str; 8] = [
+    const FILTERS: [&str; 7] = [
         "kalman",
         "axis-kalman",
         "classic",
         "vqf",
-        "vqf as is",
         "fusion",
         "madgwick",
         "mahony",
@@ -371,7 +370,7 @@ fn gains_are_scanned_on_recordings_with_truth() {
     let result = bench(&["--scan-gains".as_ref(), path("bench-scan", "").as_os_str()]);
     let printed = String::from_utf8(result.stdout).unwrap();
     assert!(result.status.success());
-    assert_eq!(printed.matches("<- in use").count(), 5, "{printed}");
+    assert_eq!(printed.matches("<- in use").count(), 4, "{printed}");
     for search in ["--scan-gains", "--leave-one-out"] {
         let empty = path("bench-empty", "");
         let nothing = bench(&[search.as_ref(), empty.as_os_str()]);

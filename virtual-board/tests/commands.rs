@@ -614,25 +614,17 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
     Command::GyroscopeMatrix(gyroscope.matrix.to_ten_thousandths()).to_string()
 }
 
-/// Some Teapot packets are text by chance: at one of these attitudes the part of roll begins with
-/// 0xD9 and a byte from 0x80 to 0xBF, and no other byte is above 0x7F.
+/// At this attitude no byte of the quaternion is above 0x7F: half of the packets are text by chance.
 #[test]
 fn teapot_packets_stay_out_of_the_firmware_log() {
-    for (roll, pitch) in [
-        (1.287, 0.09),
-        (1.287, -0.09),
-        (-1.287, 0.09),
-        (-1.287, -0.09),
-    ] {
-        let tilted = Quaternion::from_euler(roll, pitch, 0.0);
-        let outcome = fly(pooled_run()
-            .seconds(7.0)
-            .motion(Rest::new(tilted))
-            .command(1.0, "format teapot"));
-        let is_packet = |text: &str| text.contains('\u{2}');
-        let packets = outcome.log().iter().filter(|line| is_packet(&line.text));
-        assert_eq!(packets.count(), 0, "{roll} {pitch}");
-    }
+    let tilted = Quaternion::from_euler(22.0_f64.to_radians(), 13.6_f64.to_radians(), 0.0);
+    let outcome = fly(pooled_run()
+        .seconds(7.0)
+        .motion(Rest::new(tilted))
+        .command(1.0, "format teapot"));
+    let is_packet = |text: &str| text.contains('\u{2}');
+    let packets = outcome.log().iter().filter(|line| is_packet(&line.text));
+    assert_eq!(packets.count(), 0);
 }
 
 /// Twelve poses show the gyroscope's scale. `gyro-matrix` and `save` give it to every flight.

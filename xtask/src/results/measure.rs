@@ -10,7 +10,15 @@ use crate::setup::Toolchain;
 use crate::{cost, examples, recordings, size, step};
 
 /// Filters whose accuracy is kept, by the names of `aplomb-bench`.
-const FILTERS: [&str; 4] = ["kalman", "vqf", "axis-kalman", "classic"];
+const FILTERS: [&str; 7] = [
+    "kalman",
+    "vqf",
+    "fusion",
+    "madgwick",
+    "mahony",
+    "axis-kalman",
+    "classic",
+];
 
 /// Figures of a flight that are kept, by their names in `summary.json`.
 const FLIGHT: [&str; 14] = [
