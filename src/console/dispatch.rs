@@ -183,13 +183,10 @@ impl Console {
         requested.unwrap_or(self.working.preferences.baud)
     }
 
-    /// Keeps a new baud rate, because the other end was understood at it. Returns whether there was
-    /// one.
+    /// Keeps a new baud rate, at which the other end was understood. Returns whether there was one.
     pub fn confirm_baud(&mut self) -> bool {
         let confirmed = self.baud.confirm();
-        if let Some(baud) = confirmed {
-            self.working.preferences.baud = baud;
-        }
+        self.working.preferences.baud = confirmed.unwrap_or(self.working.preferences.baud);
         confirmed.is_some()
     }
 

@@ -618,7 +618,10 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
 #[test]
 fn teapot_packets_stay_out_of_the_firmware_log() {
     let tilted = Quaternion::from_euler(22.0_f64.to_radians(), 13.6_f64.to_radians(), 0.0);
+    let mut chip = SensorErrors::none();
+    chip.gyroscope.noise_density = SensorErrors::typical(1).gyroscope.noise_density;
     let outcome = fly(pooled_run()
+        .sensor_errors(chip)
         .seconds(7.0)
         .motion(Rest::new(tilted))
         .command(1.0, "format teapot"));
