@@ -47,8 +47,9 @@ impl Step {
         Steps::new(RESET_AND_WAKE | RANGES | INTERRUPT, config, part)
     }
 
-    /// Returns the steps for a sensor that has just reset itself, or that lost one setting: 30 ms.
-    pub(super) const fn reconfiguration(config: &Config, part: &Part) -> Steps {
+    /// Returns the steps of [`Mpu6050::reconfigure`](super::Mpu6050::reconfigure), for a sensor
+    /// that has just reset itself, or that lost one setting: 30 ms. None is a device reset.
+    pub const fn reconfiguration(config: &Config, part: &Part) -> Steps {
         Steps::new(WAKE | RANGES | INTERRUPT, config, part)
     }
 

@@ -37,6 +37,7 @@
 mod alignment;
 pub mod classic;
 mod compass;
+mod learned;
 mod offset;
 #[cfg(not(feature = "firmware"))]
 mod sample_order;
