@@ -4,8 +4,8 @@
 
 #include "aplomb.h"
 
-bool attitude_start(void);
-void attitude_edge(uint64_t now_us);
-bool attitude_poll(AplombSnapshot *snapshot);
+bool attitude_start(uint32_t count_us);
+void attitude_edge(uint32_t count_us);
+bool attitude_poll(uint32_t count_us, AplombSnapshot *snapshot);
 
 #endif

@@ -3,14 +3,19 @@
 
 static AplombPipeline pipeline;
 
-/* Starts the filter for samples at this rate, 4 to 1,000 a second. */
+/* Starts the filter for samples at this rate, 4 to 8,000 a second. */
 bool attitude_init(uint16_t samples_per_s)
 {
     AplombSettings settings = aplomb_default_settings();
-    if (samples_per_s < 4 || samples_per_s > 1000) {
+    uint16_t rate = 1000;
+    if (samples_per_s < 4 || samples_per_s > 8000) {
         return false;
     }
-    settings.sample_rate_divider = (uint8_t)(1000 / samples_per_s - 1);
+    if (samples_per_s > 1000) { /* such as 1,600 or 2,000 */
+        settings.low_pass_hz = 256;
+        rate = 8000;
+    }
+    settings.sample_rate_divider = (uint8_t)(rate / samples_per_s - 1);
     settings.sensor_delay_us = 0; /* the time is that of the sample */
     return aplomb_init(&pipeline, &settings) == APLOMB_STATUS_OK;
 }

@@ -1,5 +1,9 @@
 /* aplomb: attitude from an MPU-6050, or from samples in SI units. docs/c.md explains it.
  *
+ *     AplombSettings settings = aplomb_default_settings();
+ *     aplomb_init(&pipeline, &settings);                     once
+ *     aplomb_update_burst(&pipeline, &burst, &snapshot);     with each burst of 14 bytes
+ *
  * Made from c/src/ by `APLOMB_BLESS=1 cargo test -r -p aplomb-c --test header`. */
 
 #ifndef APLOMB_H
@@ -84,12 +88,18 @@
 // Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
 #define APLOMB_FLAG_VIBRATION (1u << 21)
 
-// The full scales have been read back since the previous burst, and are right. The caller reports
-// it. No attitude has this flag.
+// The full scales have been read back since the previous burst or sample, and are right. The
+// caller reports it. No attitude has this flag.
 #define APLOMB_FLAG_SCALES_VERIFIED (1u << 31)
+
+// Bytes of a state to go on from.
+#define APLOMB_WARM_START_BYTES 64
 
 // Bytes of a record.
 #define APLOMB_RECORD_BYTES 512
+
+// Largest number of registers that are read together.
+#define APLOMB_CHECK_BYTES 5
 
 // Size of a pipeline, in units of eight bytes. The same on every target.
 #define APLOMB_PIPELINE_WORDS 320
@@ -103,7 +113,7 @@ typedef enum AplombStatus {
   APLOMB_STATUS_OK = 0,
   // A pointer is null.
   APLOMB_STATUS_NULL_POINTER = 1,
-  // The memory holds no pipeline: call `aplomb_init` first.
+  // The memory holds no pipeline of this program: call `aplomb_init` first.
   APLOMB_STATUS_NOT_INITIALISED = 2,
   // The mount is no name such as "+x-z", "z-up" or "z-down".
   APLOMB_STATUS_WRONG_MOUNT = 3,
@@ -113,9 +123,9 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_LOW_PASS = 5,
   // No part of the family answers WHO_AM_I like this. Begin with `aplomb_default_settings`.
   APLOMB_STATUS_UNKNOWN_PART = 6,
-  // No more steps: the configuration is complete.
+  // No more steps or checks: the list is complete.
   APLOMB_STATUS_NO_MORE_STEPS = 7,
-  // The bytes hold no whole record, or one of a later version.
+  // The bytes hold no whole record or state, or one of another version.
   APLOMB_STATUS_NO_RECORD = 8,
   // A number of the calibration is not finite.
   APLOMB_STATUS_NOT_STORABLE = 9,
@@ -139,6 +149,16 @@ typedef enum AplombStatus {
   // The temperature model's reference is not between its coldest and its warmest temperature, or
   // no part can report one of them.
   APLOMB_STATUS_WRONG_TEMPERATURE_RANGE = 18,
+  // The time is before that of the last sample. A clock of 32 bits has wrapped.
+  APLOMB_STATUS_WRONG_TIME = 19,
+  // The compass's matrix is no correction: its gains are 0.1 to 10. All nine numbers are needed:
+  // 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
+  APLOMB_STATUS_WRONG_COMPASS = 20,
+  // No compass gives this field, or the reading is older than a second: an age below zero has
+  // wrapped.
+  APLOMB_STATUS_WRONG_FIELD = 21,
+  // No rest has measured the gyroscope's offset yet: there is no state to go on from.
+  APLOMB_STATUS_NO_STATE = 22,
 } AplombStatus;
 
 // Knowledge of the accelerometer's offset.
@@ -164,6 +184,15 @@ typedef enum AplombCompassKnowledge {
   // A compass whose readings lack the hard iron that the filter found in an earlier run.
   APLOMB_COMPASS_KNOWLEDGE_HARD_IRON = 3,
 } AplombCompassKnowledge;
+
+// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a
+// larger struct, aligned as its type: to eight bytes on most targets. It may be copied within one
+// run of one program. Memory that outlives a reset holds no pipeline: `aplomb_warm_start` and
+// `aplomb_learned` write what a later run can use.
+typedef struct AplombPipeline {
+  // Contents of the library.
+  uint64_t opaque[APLOMB_PIPELINE_WORDS];
+} AplombPipeline;
 
 // Calibration of one sensor and its compass, in SI units. That of the sensor is in its own axes.
 // All zero is none.
@@ -228,10 +257,13 @@ typedef struct AplombSettings {
   uint16_t gyroscope_range_deg_s;
   // Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
   uint16_t low_pass_hz;
-  // Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second, 19 is 50. It
-  // has to match the real rate, that of samples in SI units too: slower samples are pauses.
+  // Divider of the sample rate, register SMPLRT_DIV. There are 1,000 / (divider + 1) samples a
+  // second, or 8,000 / (divider + 1) if `low_pass_hz` is 256. An MPU-6500 ignores the divider at
+  // 256 Hz: set 0. The divider has to match the real rate, that of samples in SI units too: 3 at
+  // 256 Hz for 2,000 a second. Slower samples are pauses.
   uint8_t sample_rate_divider;
-  // Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
+  // Answer of the sensor's register WHO_AM_I, 0x75, which is to be read: 0x68 for an MPU-6050.
+  // Delay, temperature and some registers of others differ.
   uint8_t who_am_i;
   // Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
   // the low-pass filter.
@@ -250,23 +282,6 @@ typedef struct AplombSettings {
   // Calibration of the sensor.
   struct AplombCalibration calibration;
 } AplombSettings;
-
-// Register to write to the sensor, and the wait after it.
-typedef struct AplombStep {
-  // Address of the register.
-  uint8_t register_address;
-  // Value to write.
-  uint8_t value;
-  // Wait before the next step, ms.
-  uint16_t wait_ms;
-} AplombStep;
-
-// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a
-// larger struct, and may be copied.
-typedef struct AplombPipeline {
-  // Contents of the library.
-  uint64_t opaque[APLOMB_PIPELINE_WORDS];
-} AplombPipeline;
 
 // Fourteen bytes that the sensor returned from register 0x3B on.
 typedef struct AplombBurst {
@@ -325,6 +340,8 @@ typedef struct AplombSample {
   uint8_t is_force_saturated;
   // Not 0 if an axis of the gyroscope reads full scale.
   uint8_t is_rate_saturated;
+  // Flags that the caller reports, as with a burst.
+  uint32_t board_flags;
 } AplombSample;
 
 // Memory of a pipeline with a compass, used as `AplombPipeline` is.
@@ -337,9 +354,17 @@ typedef struct AplombCompassPipeline {
 typedef struct AplombField {
   // Magnetic field, µT. One gauss is 100 µT.
   float field_ut[3];
-  // Age of the reading's motion against that of the last sample, µs.
+  // Age of the reading's motion against that of the last sample, µs:
+  // `aplomb_compass_reading_age_us` returns it.
   uint32_t age_us;
 } AplombField;
+
+// Attitude and offsets of a run with a checksum, to go on from after a reset of the processor.
+// Keep it in memory that a reset leaves as it is.
+typedef struct AplombWarmStart {
+  // Contents, to be kept as they are.
+  uint8_t bytes[APLOMB_WARM_START_BYTES];
+} AplombWarmStart;
 
 // Calibration as bytes with a checksum, to keep in flash or in a file. The form is that of the
 // module's flash, with slots of 256 bytes.
@@ -347,6 +372,29 @@ typedef struct AplombRecord {
   // Contents, to be kept as they are.
   uint8_t bytes[APLOMB_RECORD_BYTES];
 } AplombRecord;
+
+// Register to write to the sensor, and the wait after it.
+typedef struct AplombStep {
+  // Address of the register.
+  uint8_t register_address;
+  // Value to write.
+  uint8_t value;
+  // Wait before the next step, ms.
+  uint16_t wait_ms;
+} AplombStep;
+
+// Neighbouring registers to read back in one transfer. The settings are intact if
+// (byte & mask) == value for each byte that was read.
+typedef struct AplombCheck {
+  // Address of the first register.
+  uint8_t register_address;
+  // Number of registers, 2 to 5.
+  uint8_t length;
+  // Bits that count in each byte.
+  uint8_t masks[APLOMB_CHECK_BYTES];
+  // Values of these bits.
+  uint8_t values[APLOMB_CHECK_BYTES];
+} AplombCheck;
 
 #ifdef __cplusplus
 extern "C" {
@@ -358,12 +406,6 @@ const char *aplomb_version(void);
 
 // Returns what a status means and what to do, in English. Takes any number.
 const char *aplomb_status_text(uint32_t status);
-
-// Writes the step of this index, from 0, of the sensor's configuration. Write its value to the
-// sensor, wait, and go on with the next. After the last one returns `APLOMB_STATUS_NO_MORE_STEPS`.
-enum AplombStatus aplomb_configuration_step(const struct AplombSettings *settings,
-                                            uint32_t index,
-                                            struct AplombStep *step);
 
 // Starts a pipeline with these settings, in memory with any contents. After an error the memory
 // holds no pipeline.
@@ -382,19 +424,25 @@ enum AplombStatus aplomb_update_sample(struct AplombPipeline *pipeline,
                                        struct AplombSnapshot *snapshot);
 
 // Writes the attitude for a time without a sample, µs since start: the last one, flagged
-// `APLOMB_FLAG_STALE`, with a sigma that grows.
+// `APLOMB_FLAG_STALE`, with a sigma that grows. A time before the last sample gives
+// `APLOMB_STATUS_WRONG_TIME`, and no attitude.
 enum AplombStatus aplomb_stale(struct AplombPipeline *pipeline,
                                uint64_t t_us,
                                struct AplombSnapshot *snapshot);
 
 // Returns whether the rate has jumped as if the gyroscope's full scale had changed. Then read the
-// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst if they are right.
-// Until then no attitude is valid. False without a pipeline, or unless `verifies_scales` is set.
+// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst or sample if they
+// are right. Until then no attitude is valid. False without a pipeline, or unless
+// `verifies_scales` is set.
 bool aplomb_awaits_scale_check(struct AplombPipeline *pipeline);
 
 // Switches between ground and flight. Armed, the filter makes no zero-rate and no zero-velocity
 // updates, so it cannot mistake a steady turn for a rest.
 enum AplombStatus aplomb_set_armed(struct AplombPipeline *pipeline, bool is_armed);
+
+// Does nothing. Its name has a number that only this header has: a program with the header of
+// another library does not link. The macros `aplomb_init` and `aplomb_compass_init` call it.
+void aplomb_header_b39d4de0(void);
 
 // Starts a pipeline with a compass, in memory with any contents. Attitude, rates and tilt sigma
 // are those of `AplombPipeline`, to the bit. After an error the memory holds no pipeline.
@@ -412,9 +460,18 @@ enum AplombStatus aplomb_compass_update_sample(struct AplombCompassPipeline *pip
                                                struct AplombSnapshot *snapshot);
 
 // Takes a reading of the compass, after the update of the last sample before it. 50 to 100
-// readings a second are enough. The next updates use it.
+// readings a second are enough. The next updates use it. A reading that no update would use gives
+// `APLOMB_STATUS_WRONG_FIELD`: a field that is not finite or above 15,000 µT, or an age above a
+// second.
 enum AplombStatus aplomb_compass_update_field(struct AplombCompassPipeline *pipeline,
                                               const struct AplombField *field);
+
+// Returns the age of a reading for `AplombField`, µs: how much older its motion is than that of
+// the last sample, whose motion is older than its time by the sensor's delay. `measured_us` is the
+// time of the middle of the measurement, on the clock of the samples: its low 32 bits. Zero for a
+// later motion, and without a pipeline.
+uint32_t aplomb_compass_reading_age_us(struct AplombCompassPipeline *pipeline,
+                                       uint32_t measured_us);
 
 // Writes the attitude for a time without a sample, as `aplomb_stale` does. The heading is the last
 // one, without `APLOMB_FLAG_HEADING_VALID`.
@@ -429,6 +486,47 @@ bool aplomb_compass_awaits_scale_check(struct AplombCompassPipeline *pipeline);
 enum AplombStatus aplomb_compass_set_armed(struct AplombCompassPipeline *pipeline,
                                            bool is_armed);
 
+// Writes the calibration in use, with the offsets that this run has found, for the settings of the
+// next run or for `aplomb_encode_record`. Offsets that are not certain stay as they are: the
+// gyroscope's is certain at rest, and the accelerometer's after motion. The compass's is left out:
+// `aplomb_compass_learned` writes it.
+enum AplombStatus aplomb_learned(struct AplombPipeline *pipeline,
+                                 struct AplombCalibration *calibration);
+
+// Writes the calibration like `aplomb_learned`, and the compass's with the hard iron that this run
+// has found, once it is certain.
+enum AplombStatus aplomb_compass_learned(struct AplombCompassPipeline *pipeline,
+                                         struct AplombCalibration *calibration);
+
+// Writes the state at this time, µs since start, not before the last sample. Only the latest
+// state is of use after a reset, so write it often, such as ten times a second. Write two in
+// turn: a reset may cut one. Gives `APLOMB_STATUS_NO_STATE` before a rest has measured the
+// gyroscope's offset.
+enum AplombStatus aplomb_warm_start(struct AplombPipeline *pipeline,
+                                    uint64_t t_us,
+                                    struct AplombWarmStart *start);
+
+// Goes on from the state of an earlier run with the same settings. Call it after `aplomb_init` and
+// before the first sample, which comes after `t_us`, the present time. `age_us` is the longest
+// time since the state was written: sigma grows with it. Without a whole state it gives
+// `APLOMB_STATUS_NO_RECORD`, and the pipeline starts as without one. Do not call it after a
+// power-up.
+enum AplombStatus aplomb_resume(struct AplombPipeline *pipeline,
+                                const struct AplombWarmStart *start,
+                                uint64_t t_us,
+                                uint32_t age_us);
+
+// Writes the state like `aplomb_warm_start`. It has no heading.
+enum AplombStatus aplomb_compass_warm_start(struct AplombCompassPipeline *pipeline,
+                                            uint64_t t_us,
+                                            struct AplombWarmStart *start);
+
+// Goes on from the state of an earlier run like `aplomb_resume`. The heading starts anew.
+enum AplombStatus aplomb_compass_resume(struct AplombCompassPipeline *pipeline,
+                                        const struct AplombWarmStart *start,
+                                        uint64_t t_us,
+                                        uint32_t age_us);
+
 // Writes a calibration as a record, that of the compass included.
 enum AplombStatus aplomb_encode_record(const struct AplombCalibration *calibration,
                                        struct AplombRecord *record);
@@ -437,11 +535,36 @@ enum AplombStatus aplomb_encode_record(const struct AplombCalibration *calibrati
 enum AplombStatus aplomb_decode_record(const struct AplombRecord *record,
                                        struct AplombCalibration *calibration);
 
+// Writes the step of this index, from 0, of the sensor's configuration. Write its value to the
+// sensor, wait, and go on with the next. After the last one returns `APLOMB_STATUS_NO_MORE_STEPS`.
+enum AplombStatus aplomb_configuration_step(const struct AplombSettings *settings,
+                                            uint32_t index,
+                                            struct AplombStep *step);
+
+// Writes a step like `aplomb_configuration_step`, for a sensor that has reset itself or has lost a
+// setting. All steps take 30 ms, because none resets the sensor. Check the settings after them.
+enum AplombStatus aplomb_reconfiguration_step(const struct AplombSettings *settings,
+                                              uint32_t index,
+                                              struct AplombStep *step);
+
+// Writes the check of this index, from 0, of the sensor's settings: together they cover each
+// register that `aplomb_configuration_step` writes. After the last one returns
+// `APLOMB_STATUS_NO_MORE_STEPS`.
+enum AplombStatus aplomb_settings_check(const struct AplombSettings *settings,
+                                        uint32_t index,
+                                        struct AplombCheck *check);
+
 // Returns the settings of an MPU-6050 at 1,000 samples a second, chip face up, X forward.
 struct AplombSettings aplomb_default_settings(void);
 
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus
+
+/* Each program refers to the number of its header: see aplomb_header_b39d4de0. */
+#define aplomb_init(pipeline, settings) \
+    (aplomb_header_b39d4de0(), aplomb_init(pipeline, settings))
+#define aplomb_compass_init(pipeline, settings) \
+    (aplomb_header_b39d4de0(), aplomb_compass_init(pipeline, settings))
 
 #endif  /* APLOMB_H */

@@ -1,12 +1,12 @@
 //! A pipeline with a compass: the attitude as without one, and a heading beside it.
 
 use aplomb::attitude::Vector3;
-use aplomb::health::BoardFlags;
+use aplomb::estimator::heading::Heading;
 use aplomb::pipeline::{CompassPipeline, Snapshot};
 
 use crate::state::{self, AplombCompassPipeline, WithCompass};
 use crate::{AplombBurst, AplombSample, AplombSettings, AplombSnapshot, AplombStatus};
-use crate::{not_null, status_of};
+use crate::{not_null, stale, status_of};
 
 /// Reading of a compass along its own axes. The calibration turns and corrects it.
 #[repr(C)]
@@ -14,7 +14,8 @@ use crate::{not_null, status_of};
 pub struct AplombField {
     /// Magnetic field, µT. One gauss is 100 µT.
     pub field_ut: [f32; 3],
-    /// Age of the reading's motion against that of the last sample, µs.
+    /// Age of the reading's motion against that of the last sample, µs:
+    /// `aplomb_compass_reading_age_us` returns it.
     pub age_us: u32,
 }
 
@@ -39,7 +40,7 @@ pub extern "C" fn aplomb_compass_update_burst(
 ) -> AplombStatus {
     with(pipeline, burst, snapshot, |pipeline, burst| {
         let (burst, board) = burst.converted();
-        pipeline.update(&burst, board)
+        Ok(pipeline.update(&burst, board))
     })
 }
 
@@ -52,12 +53,15 @@ pub extern "C" fn aplomb_compass_update_sample(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, sample, snapshot, |pipeline, sample| {
-        pipeline.update_sample(&sample.converted(pipeline.pipeline()))
+        let (sample, board) = sample.converted(pipeline.pipeline());
+        Ok(pipeline.update_sample_with(&sample, board))
     })
 }
 
 /// Takes a reading of the compass, after the update of the last sample before it. 50 to 100
-/// readings a second are enough. The next updates use it.
+/// readings a second are enough. The next updates use it. A reading that no update would use gives
+/// `APLOMB_STATUS_WRONG_FIELD`: a field that is not finite or above 15,000 µT, or an age above a
+/// second.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_compass_update_field(
@@ -75,8 +79,26 @@ fn update_field(
     let state = state::with_compass(pipeline)?;
     let [x, y, z] = field.field_ut;
     let in_body = state.alignment.apply(Vector3::new(x, y, z));
+    if !Heading::uses_field(in_body, field.age_us) {
+        return Err(AplombStatus::WrongField);
+    }
     state.pipeline.update_field(in_body, field.age_us);
     Ok(())
+}
+
+/// Returns the age of a reading for `AplombField`, µs: how much older its motion is than that of
+/// the last sample, whose motion is older than its time by the sensor's delay. `measured_us` is the
+/// time of the middle of the measurement, on the clock of the samples: its low 32 bits. Zero for a
+/// later motion, and without a pipeline.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn aplomb_compass_reading_age_us(
+    pipeline: Option<&mut AplombCompassPipeline>,
+    measured_us: u32,
+) -> u32 {
+    state::with_compass(pipeline).map_or(0, |state| {
+        state.pipeline.pipeline().reading_age_us(measured_us)
+    })
 }
 
 /// Writes the attitude for a time without a sample, as `aplomb_stale` does. The heading is the last
@@ -89,7 +111,7 @@ pub extern "C" fn aplomb_compass_stale(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, Some(&t_us), snapshot, |pipeline, t_us| {
-        pipeline.pipeline().stale(*t_us, BoardFlags::empty())
+        stale(pipeline.pipeline(), *t_us)
     })
 }
 
@@ -144,12 +166,12 @@ fn with<I>(
     pipeline: Option<&mut AplombCompassPipeline>,
     input: Option<&I>,
     snapshot: Option<&mut AplombSnapshot>,
-    call: impl FnOnce(&mut CompassPipeline, &I) -> Snapshot,
+    call: impl FnOnce(&mut CompassPipeline, &I) -> Result<Snapshot, AplombStatus>,
 ) -> AplombStatus {
     status_of((|| {
         let (input, out) = (not_null(input)?, not_null(snapshot)?);
         let pipeline = &mut state::with_compass(pipeline)?.pipeline;
-        *out = call(pipeline, input).into();
+        *out = call(pipeline, input)?.into();
         if let Some(heading) = pipeline.heading() {
             out.heading_rad = heading.heading_rad(out.yaw_rad);
             out.heading_sigma_rad = heading.sigma_rad;

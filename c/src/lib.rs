@@ -5,7 +5,8 @@
 //! nothing panics. `include/aplomb.h` is made from this code.
 //!
 //! A pointer may be null: the function then returns `APLOMB_STATUS_NULL_POINTER`. Any other pointer
-//! has to point to a whole value. One pipeline is used by one thread or interrupt at a time.
+//! has to point to a whole value, aligned as its type. One pipeline is used by one thread or
+//! interrupt at a time.
 
 #![no_std]
 
@@ -13,8 +14,10 @@
 extern crate std;
 
 mod compass;
+mod learned;
 mod mount;
 mod record;
+mod sensor;
 mod settings;
 mod state;
 #[cfg(test)]
@@ -25,17 +28,25 @@ use core::ffi::{CStr, c_char};
 use aplomb::attitude::Vector3;
 use aplomb::estimator::Sample;
 use aplomb::health::BoardFlags;
-use aplomb::mpu6050::{Burst, Step};
+use aplomb::mpu6050::Burst;
 use aplomb::pipeline::{Pipeline, Snapshot};
 
 pub use compass::{
-    AplombField, aplomb_compass_awaits_scale_check, aplomb_compass_init, aplomb_compass_set_armed,
-    aplomb_compass_stale, aplomb_compass_update_burst, aplomb_compass_update_field,
-    aplomb_compass_update_sample,
+    AplombField, aplomb_compass_awaits_scale_check, aplomb_compass_init,
+    aplomb_compass_reading_age_us, aplomb_compass_set_armed, aplomb_compass_stale,
+    aplomb_compass_update_burst, aplomb_compass_update_field, aplomb_compass_update_sample,
+};
+pub use learned::{
+    APLOMB_WARM_START_BYTES, AplombWarmStart, aplomb_compass_learned, aplomb_compass_resume,
+    aplomb_compass_warm_start, aplomb_learned, aplomb_resume, aplomb_warm_start,
 };
 pub use record::{
     APLOMB_RECORD_BYTES, AplombCalibration, AplombRecord, aplomb_decode_record,
     aplomb_encode_record,
+};
+pub use sensor::{
+    APLOMB_CHECK_BYTES, AplombCheck, AplombStep, aplomb_configuration_step,
+    aplomb_reconfiguration_step, aplomb_settings_check,
 };
 pub use settings::{
     AplombAccelerometerKnowledge, AplombCompassKnowledge, AplombSettings, aplomb_default_settings,
@@ -92,8 +103,8 @@ pub const APLOMB_FLAG_HEADING_VALID: u32 = 1_u32 << 19;
 pub const APLOMB_FLAG_COMPASS_FAULT: u32 = 1_u32 << 20;
 /// Vibration is so strong that the accelerometer may clip: the tilt can be wrong by degrees.
 pub const APLOMB_FLAG_VIBRATION: u32 = 1_u32 << 21;
-/// The full scales have been read back since the previous burst, and are right. The caller reports
-/// it. No attitude has this flag.
+/// The full scales have been read back since the previous burst or sample, and are right. The
+/// caller reports it. No attitude has this flag.
 pub const APLOMB_FLAG_SCALES_VERIFIED: u32 = 1_u32 << 31;
 
 /// Result of a function. `aplomb_status_text` describes it.
@@ -104,7 +115,7 @@ pub enum AplombStatus {
     Ok = 0,
     /// A pointer is null.
     NullPointer = 1,
-    /// The memory holds no pipeline: call `aplomb_init` first.
+    /// The memory holds no pipeline of this program: call `aplomb_init` first.
     NotInitialised = 2,
     /// The mount is no name such as "+x-z", "z-up" or "z-down".
     WrongMount = 3,
@@ -114,9 +125,9 @@ pub enum AplombStatus {
     WrongLowPass = 5,
     /// No part of the family answers WHO_AM_I like this. Begin with `aplomb_default_settings`.
     UnknownPart = 6,
-    /// No more steps: the configuration is complete.
+    /// No more steps or checks: the list is complete.
     NoMoreSteps = 7,
-    /// The bytes hold no whole record, or one of a later version.
+    /// The bytes hold no whole record or state, or one of another version.
     NoRecord = 8,
     /// A number of the calibration is not finite.
     NotStorable = 9,
@@ -140,18 +151,16 @@ pub enum AplombStatus {
     /// The temperature model's reference is not between its coldest and its warmest temperature, or
     /// no part can report one of them.
     WrongTemperatureRange = 18,
-}
-
-/// Register to write to the sensor, and the wait after it.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct AplombStep {
-    /// Address of the register.
-    pub register_address: u8,
-    /// Value to write.
-    pub value: u8,
-    /// Wait before the next step, ms.
-    pub wait_ms: u16,
+    /// The time is before that of the last sample. A clock of 32 bits has wrapped.
+    WrongTime = 19,
+    /// The compass's matrix is no correction: its gains are 0.1 to 10. All nine numbers are needed:
+    /// 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
+    WrongCompass = 20,
+    /// No compass gives this field, or the reading is older than a second: an age below zero has
+    /// wrapped.
+    WrongField = 21,
+    /// No rest has measured the gyroscope's offset yet: there is no state to go on from.
+    NoState = 22,
 }
 
 /// Fourteen bytes that the sensor returned from register 0x3B on.
@@ -201,18 +210,20 @@ pub struct AplombSample {
     pub is_force_saturated: u8,
     /// Not 0 if an axis of the gyroscope reads full scale.
     pub is_rate_saturated: u8,
+    /// Flags that the caller reports, as with a burst.
+    pub board_flags: u32,
 }
 
 impl AplombSample {
-    /// Returns the sample of the library, calibrated and in body axes.
-    fn converted(&self, pipeline: &Pipeline) -> Sample {
+    /// Returns the sample of the library, calibrated and in body axes, and the caller's flags.
+    fn converted(&self, pipeline: &Pipeline) -> (Sample, BoardFlags) {
         let vector = |[x, y, z]: [f32; 3]| Vector3::new(x, y, z);
         let force = vector(self.specific_force_m_s2);
         let rate = vector(self.angular_rate_rad_s);
         let mut sample = pipeline.calibrated_sample(self.t_us, force, rate);
         sample.is_force_saturated = self.is_force_saturated != 0;
         sample.is_rate_saturated = self.is_rate_saturated != 0;
-        sample
+        (sample, BoardFlags::from_bits_truncate(self.board_flags))
     }
 }
 
@@ -278,16 +289,16 @@ pub extern "C" fn aplomb_version() -> *const c_char {
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
-    const TEXTS: [&CStr; 19] = [
+    const TEXTS: [&CStr; 23] = [
         c"done",
         c"a pointer is null",
-        c"the memory holds no pipeline: call aplomb_init first",
+        c"the memory holds no pipeline of this program: call aplomb_init first",
         c"the mount is no name such as +x-z, z-up or z-down",
         c"the ranges are 2, 4, 8 or 16 g, and 250, 500, 1000 or 2000 degrees per second",
         c"the low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz",
         c"no part answers WHO_AM_I like this: begin with aplomb_default_settings",
-        c"there are no more steps: the configuration is complete",
-        c"the bytes hold no whole record, or one of a later version",
+        c"there are no more steps or checks: the list is complete",
+        c"the bytes hold no whole record or state, or one of another version",
         c"a number of the calibration is not finite",
         c"the knowledge of the accelerometer or of the compass is none of its values",
         c"the declination is no angle from -pi to pi",
@@ -298,37 +309,13 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the sensor's delay exceeds a second, 1000000 microseconds",
         c"the temperature model gives an offset above 41 degrees per second: it is in rad/s",
         c"the temperature model's reference is not in its range, or that is not in -80 to 135 C",
+        c"the time is before that of the last sample: extend a clock of 32 bits",
+        c"the compass's matrix is no correction: set all nine numbers, 1 on the diagonal for none",
+        c"no compass gives this field, or its age is over a second: an age below zero has wrapped",
+        c"no rest has measured the gyroscope's offset yet: there is no state to go on from",
     ];
     let text = TEXTS.get(status as usize).copied();
     text.unwrap_or(c"this is no status of aplomb").as_ptr()
-}
-
-/// Writes the step of this index, from 0, of the sensor's configuration. Write its value to the
-/// sensor, wait, and go on with the next. After the last one returns `APLOMB_STATUS_NO_MORE_STEPS`.
-#[allow(unsafe_code, reason = "C finds the function by this name")]
-#[unsafe(no_mangle)]
-pub extern "C" fn aplomb_configuration_step(
-    settings: Option<&AplombSettings>,
-    index: u32,
-    step: Option<&mut AplombStep>,
-) -> AplombStatus {
-    let (Some(settings), Some(out)) = (settings, step) else {
-        return AplombStatus::NullPointer;
-    };
-    let settings = match settings.checked() {
-        Ok(settings) => settings,
-        Err(status) => return status,
-    };
-    let mut steps = Step::configuration(&settings.sensor, settings.part);
-    let Some(step) = steps.nth(index as usize) else {
-        return AplombStatus::NoMoreSteps;
-    };
-    *out = AplombStep {
-        register_address: step.register.address(),
-        value: step.value,
-        wait_ms: step.wait_ms as u16,
-    };
-    AplombStatus::Ok
 }
 
 /// Starts a pipeline with these settings, in memory with any contents. After an error the memory
@@ -352,7 +339,7 @@ pub extern "C" fn aplomb_update_burst(
 ) -> AplombStatus {
     with(pipeline, burst, snapshot, |pipeline, burst| {
         let (burst, board) = burst.converted();
-        pipeline.update(&burst, board)
+        Ok(pipeline.update(&burst, board))
     })
 }
 
@@ -366,12 +353,14 @@ pub extern "C" fn aplomb_update_sample(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, sample, snapshot, |pipeline, sample| {
-        pipeline.update_sample(&sample.converted(pipeline))
+        let (sample, board) = sample.converted(pipeline);
+        Ok(pipeline.update_sample_with(&sample, board))
     })
 }
 
 /// Writes the attitude for a time without a sample, µs since start: the last one, flagged
-/// `APLOMB_FLAG_STALE`, with a sigma that grows.
+/// `APLOMB_FLAG_STALE`, with a sigma that grows. A time before the last sample gives
+/// `APLOMB_STATUS_WRONG_TIME`, and no attitude.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_stale(
@@ -380,13 +369,14 @@ pub extern "C" fn aplomb_stale(
     snapshot: Option<&mut AplombSnapshot>,
 ) -> AplombStatus {
     with(pipeline, Some(&t_us), snapshot, |pipeline, t_us| {
-        pipeline.stale(*t_us, BoardFlags::empty())
+        stale(pipeline, *t_us)
     })
 }
 
 /// Returns whether the rate has jumped as if the gyroscope's full scale had changed. Then read the
-/// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst if they are right.
-/// Until then no attitude is valid. False without a pipeline, or unless `verifies_scales` is set.
+/// settings back, and report `APLOMB_FLAG_SCALES_VERIFIED` with the next burst or sample if they
+/// are right. Until then no attitude is valid. False without a pipeline, or unless
+/// `verifies_scales` is set.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn aplomb_awaits_scale_check(pipeline: Option<&mut AplombPipeline>) -> bool {
@@ -403,6 +393,20 @@ pub extern "C" fn aplomb_set_armed(
 ) -> AplombStatus {
     let armed = state::pipeline(pipeline).map(|pipeline| pipeline.set_armed(is_armed));
     status_of(armed)
+}
+
+/// Does nothing. Its name has a number that only this header has: a program with the header of
+/// another library does not link. The macros `aplomb_init` and `aplomb_compass_init` call it.
+#[allow(unsafe_code, reason = "C finds the function by this name")]
+#[unsafe(export_name = "aplomb_header_b39d4de0")]
+pub extern "C" fn aplomb_header() {}
+
+/// Returns the attitude for a time without a sample.
+fn stale(pipeline: &Pipeline, t_us: u64) -> Result<Snapshot, AplombStatus> {
+    if t_us < pipeline.sample().t_us {
+        return Err(AplombStatus::WrongTime);
+    }
+    Ok(pipeline.stale(t_us, BoardFlags::empty()))
 }
 
 /// Stores a pipeline with these settings. Moves it as little as possible: it is large for a stack.
@@ -427,11 +431,11 @@ fn with<I>(
     pipeline: Option<&mut AplombPipeline>,
     input: Option<&I>,
     snapshot: Option<&mut AplombSnapshot>,
-    call: impl FnOnce(&mut Pipeline, &I) -> Snapshot,
+    call: impl FnOnce(&mut Pipeline, &I) -> Result<Snapshot, AplombStatus>,
 ) -> AplombStatus {
     status_of((|| {
         let (input, out) = (not_null(input)?, not_null(snapshot)?);
-        *out = call(state::pipeline(pipeline)?, input).into();
+        *out = call(state::pipeline(pipeline)?, input)?.into();
         Ok(())
     })())
 }

@@ -132,16 +132,22 @@ impl AplombCalibration {
             let mount = mount::parse(&self.compass_mount);
             compass.mount = Some(mount.ok_or(AplombStatus::WrongMount)?);
         }
-        let [x, y, z] = self.compass_hard_iron_ut;
-        let numbers = [&self.compass_matrix[..], &self.compass_hard_iron_ut];
-        let is_finite = numbers.into_iter().flatten().all(|it| it.is_finite());
-        if self.has_compass != 0 && !is_finite {
-            return Err(AplombStatus::NotStorable);
+        if self.has_compass != 0 {
+            let [x, y, z] = self.compass_hard_iron_ut;
+            let numbers = [&self.compass_matrix[..], &self.compass_hard_iron_ut];
+            let is_finite = numbers.into_iter().flatten().all(|it| it.is_finite());
+            let correction = CompassCorrection {
+                matrix: rows(self.compass_matrix),
+                hard_iron_ut: Vector3::new(x, y, z),
+            };
+            if !is_finite {
+                return Err(AplombStatus::NotStorable);
+            }
+            if !correction.is_plausible() {
+                return Err(AplombStatus::WrongCompass);
+            }
+            compass.correction = Some(correction);
         }
-        compass.correction = (self.has_compass != 0).then_some(CompassCorrection {
-            matrix: rows(self.compass_matrix),
-            hard_iron_ut: Vector3::new(x, y, z),
-        });
         Ok(compass)
     }
 }

@@ -57,10 +57,13 @@ pub struct AplombSettings {
     pub gyroscope_range_deg_s: u16,
     /// Bandwidth of the low-pass filter: 256, 188, 98, 42, 20, 10 or 5 Hz.
     pub low_pass_hz: u16,
-    /// Divider of the sample rate, register SMPLRT_DIV: 0 is 1,000 samples a second, 19 is 50. It
-    /// has to match the real rate, that of samples in SI units too: slower samples are pauses.
+    /// Divider of the sample rate, register SMPLRT_DIV. There are 1,000 / (divider + 1) samples a
+    /// second, or 8,000 / (divider + 1) if `low_pass_hz` is 256. An MPU-6500 ignores the divider at
+    /// 256 Hz: set 0. The divider has to match the real rate, that of samples in SI units too: 3 at
+    /// 256 Hz for 2,000 a second. Slower samples are pauses.
     pub sample_rate_divider: u8,
-    /// Answer of the sensor's register WHO_AM_I: 0x68 for an MPU-6050.
+    /// Answer of the sensor's register WHO_AM_I, 0x75, which is to be read: 0x68 for an MPU-6050.
+    /// Delay, temperature and some registers of others differ.
     pub who_am_i: u8,
     /// Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
     /// the low-pass filter.

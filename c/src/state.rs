@@ -3,6 +3,8 @@
 use core::mem::{MaybeUninit, align_of, size_of};
 
 use aplomb::calibration::CompassAlignment;
+use aplomb::estimator::REVISION;
+use aplomb::mpu6050::PARTS;
 use aplomb::pipeline::{CompassPipeline, Pipeline};
 
 use crate::AplombStatus;
@@ -13,14 +15,24 @@ pub const APLOMB_PIPELINE_WORDS: usize = 320;
 /// Size of a pipeline with a compass, in units of eight bytes. The same on every target.
 pub const APLOMB_COMPASS_PIPELINE_WORDS: usize = 480;
 
-/// First word of memory that holds a pipeline: no text, no pointer, no pattern of fresh memory.
+/// First word of memory that holds a pipeline, before [`of_this_program`]: no text, no pointer, no
+/// pattern of fresh memory.
 const MARK: u64 = 0xA910_3B5E_7C1D_42F1;
 
-/// First word of memory that holds a pipeline with a compass.
+/// Mark of a pipeline with a compass.
 const COMPASS_MARK: u64 = 0xC35D_90E7_1B64_A82F;
 
+/// Returns a mark for this program. A pipeline has pointers to constants, whose addresses differ in
+/// another program: it may be the new firmware after an update, and find the old one's memory.
+fn of_this_program(mark: u64) -> u64 {
+    let size = size_of::<WithCompass>() as u64;
+    mark ^ PARTS.as_ptr().addr() as u64 ^ u64::from(REVISION) << 32 ^ size << 48
+}
+
 /// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a
-/// larger struct, and may be copied.
+/// larger struct, aligned as its type: to eight bytes on most targets. It may be copied within one
+/// run of one program. Memory that outlives a reset holds no pipeline: `aplomb_warm_start` and
+/// `aplomb_learned` write what a later run can use.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct AplombPipeline {
@@ -47,7 +59,7 @@ impl AplombPipeline {
     /// Stores a pipeline.
     pub(crate) fn put(&mut self, pipeline: Pipeline) {
         place(&mut self.opaque).write(pipeline);
-        self.opaque[0] = MARK;
+        self.opaque[0] = of_this_program(MARK);
     }
 
     /// Ends the pipeline that was stored, if there was one.
@@ -60,7 +72,7 @@ impl AplombCompassPipeline {
     /// Stores a pipeline with a compass.
     pub(crate) fn put(&mut self, pipeline: WithCompass) {
         place(&mut self.opaque).write(pipeline);
-        self.opaque[0] = COMPASS_MARK;
+        self.opaque[0] = of_this_program(COMPASS_MARK);
     }
 
     /// Ends the pipeline that was stored, if there was one.
@@ -84,7 +96,7 @@ fn place<T, const WORDS: usize>(opaque: &mut [u64; WORDS]) -> &mut MaybeUninit<T
 #[allow(unsafe_code, reason = "the mark says that the memory is initialised")]
 pub(crate) fn pipeline(state: Option<&mut AplombPipeline>) -> Result<&mut Pipeline, AplombStatus> {
     let state = state.ok_or(AplombStatus::NullPointer)?;
-    if state.opaque[0] != MARK {
+    if state.opaque[0] != of_this_program(MARK) {
         return Err(AplombStatus::NotInitialised);
     }
     // SAFETY: only `put` writes the mark, after the pipeline. The header forbids others to write.
@@ -97,7 +109,7 @@ pub(crate) fn with_compass(
     state: Option<&mut AplombCompassPipeline>,
 ) -> Result<&mut WithCompass, AplombStatus> {
     let state = state.ok_or(AplombStatus::NullPointer)?;
-    if state.opaque[0] != COMPASS_MARK {
+    if state.opaque[0] != of_this_program(COMPASS_MARK) {
         return Err(AplombStatus::NotInitialised);
     }
     // SAFETY: only `put` writes the mark, after the pipeline. The header forbids others to write.

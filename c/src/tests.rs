@@ -36,6 +36,7 @@ impl Chance {
             angular_rate_rad_s: self.numbers(),
             is_force_saturated: self.next() as u8,
             is_rate_saturated: self.next() as u8,
+            board_flags: self.next(),
         }
     }
 }
@@ -70,16 +71,25 @@ fn updates_by_chance_give_finite_attitudes() {
         let sample = chance.sample(2_000 * index + 1_000);
         let field = AplombField {
             field_ut: chance.numbers(),
-            age_us: chance.next(),
+            age_us: chance.next() >> 3,
         };
         let statuses = [
             aplomb_update_burst(Some(&mut plain), Some(&burst), Some(&mut other)),
             aplomb_compass_update_burst(Some(&mut compass), Some(&burst), Some(&mut snapshot)),
             aplomb_update_sample(Some(&mut plain), Some(&sample), Some(&mut other)),
             aplomb_compass_update_sample(Some(&mut compass), Some(&sample), Some(&mut snapshot)),
-            aplomb_compass_update_field(Some(&mut compass), Some(&field)),
         ];
-        assert_eq!(statuses, [AplombStatus::Ok; 5]);
+        assert_eq!(statuses, [AplombStatus::Ok; 4]);
+        // The field is a number by chance, and so is its age: few are of a second.
+        let is_used = field.age_us <= 1_000_000
+            && field.field_ut.iter().map(|part| part.abs()).sum::<f32>() < 15_000.0;
+        let expected = if is_used {
+            AplombStatus::Ok
+        } else {
+            AplombStatus::WrongField
+        };
+        let status = aplomb_compass_update_field(Some(&mut compass), Some(&field));
+        assert_eq!(status, expected, "{field:?}");
         assert!(!aplomb_awaits_scale_check(Some(&mut plain)));
         assert!(!aplomb_compass_awaits_scale_check(Some(&mut compass)));
         assert!(snapshot.attitude.into_iter().all(f32::is_finite));
@@ -87,9 +97,70 @@ fn updates_by_chance_give_finite_attitudes() {
     }
     // A copy elsewhere goes on.
     let mut copy = compass;
+    let mut learned = AplombCalibration::default();
+    let status = aplomb_compass_learned(Some(&mut copy), Some(&mut learned));
+    let of_plain = aplomb_learned(Some(&mut plain), Some(&mut learned));
+    assert_eq!((status, of_plain), (AplombStatus::Ok, AplombStatus::Ok));
+    let mut start = AplombWarmStart { bytes: [0; 64] };
+    let status = aplomb_warm_start(Some(&mut plain), u64::MAX, Some(&mut start));
+    assert_eq!(status, AplombStatus::NoState);
+    let status = aplomb_compass_resume(Some(&mut copy), Some(&start), 0, 0);
+    assert_eq!(status, AplombStatus::NoRecord);
+    aplomb_compass_reading_age_us(Some(&mut copy), 0);
     aplomb_compass_set_armed(Some(&mut copy), true);
     aplomb_compass_stale(Some(&mut copy), 1_000_000, Some(&mut other));
     assert_eq!(snapshot.attitude, other.attitude);
+}
+
+/// Memory that has outlived an update of the firmware: its pointers are those of the former one.
+#[test]
+fn the_pipeline_of_another_program_is_none() {
+    let (mut plain, _) = memory();
+    let mut snapshot = AplombSnapshot::default();
+    let settings = aplomb_default_settings();
+    let started = aplomb_init(Some(&mut plain), Some(&settings));
+    assert_eq!(started, AplombStatus::Ok);
+    plain.opaque[0] ^= 0x100; // constants at another place
+    let status = aplomb_stale(Some(&mut plain), 0, Some(&mut snapshot));
+    assert_eq!(status, AplombStatus::NotInitialised);
+}
+
+#[test]
+fn steps_and_checks_are_those_of_the_driver() {
+    for part in &aplomb::mpu6050::PARTS {
+        let mut settings = aplomb_default_settings();
+        settings.who_am_i = part.who_am_i;
+        let (mut step, mut check) = (AplombStep::default(), AplombCheck::default());
+        let mut registers = [0; 256];
+        let mut next = 0;
+        let mut steps = || {
+            let status = aplomb_reconfiguration_step(Some(&settings), next, Some(&mut step));
+            next += 1;
+            (status == AplombStatus::Ok).then_some(step)
+        };
+        while let Some(step) = steps() {
+            registers[usize::from(step.register_address)] = step.value;
+            assert_ne!(step.value, 0x80, "a device reset takes 200 ms");
+        }
+        assert_eq!(
+            next,
+            if part.has_accelerometer_low_pass {
+                10
+            } else {
+                9
+            }
+        );
+        for index in 0..3 {
+            let status = aplomb_settings_check(Some(&settings), index, Some(&mut check));
+            assert_eq!(status, AplombStatus::Ok);
+            for place in 0..usize::from(check.length) {
+                let found = registers[usize::from(check.register_address) + place];
+                assert_eq!(found & check.masks[place], check.values[place], "{check:?}");
+            }
+        }
+        let after = aplomb_settings_check(Some(&settings), 3, Some(&mut check));
+        assert_eq!(after, AplombStatus::NoMoreSteps);
+    }
 }
 
 #[test]

@@ -107,6 +107,35 @@ fn the_examples_for_firmware_run() {
     each_program("parts", &sources, passes);
 }
 
+/// A program that was compiled with the header of another library does not link, and the linker
+/// names the header's number.
+#[test]
+fn the_header_of_another_library_does_not_link() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let header = std::fs::read_to_string(folder.join("include/aplomb.h")).expect("it is there");
+    let other = common::file("other");
+    std::fs::create_dir_all(&other).expect("the folder can be written");
+    let wrong = header.replace("aplomb_header_", "aplomb_header_f");
+    std::fs::write(other.join("aplomb.h"), wrong).expect("the header can be written");
+    let link = |include: &Path| {
+        let mut gcc = Command::new("gcc");
+        gcc.args(["-std=c99", "-I"]).arg(include);
+        gcc.arg(folder.join("examples/host.c"));
+        gcc.arg(library()).args(SYSTEM).arg("-o");
+        gcc.arg(common::file("header")).output()
+    };
+    let (Ok(right), Ok(wrong)) = (link(&folder.join("include")), link(&other)) else {
+        eprintln!("skipped: gcc is not installed");
+        return;
+    };
+    let errors = String::from_utf8_lossy(&wrong.stderr);
+    assert!(
+        right.status.success() && !wrong.status.success(),
+        "{errors}"
+    );
+    assert!(errors.contains("aplomb_header_f"), "{errors}");
+}
+
 /// Returns bursts of five seconds: rest, then turns about all axes, with lost samples.
 fn turning() -> Vec<Burst> {
     let burst = |index: u64| {

@@ -3,12 +3,14 @@
 use core::fmt;
 use core::ops::RangeInclusive;
 
+use super::compass::CompassCorrection;
 use super::level;
 use super::matrix::Matrix3;
 use super::model::{
     AccelerometerCorrection, Calibration, TRUSTED_BEYOND_CELSIUS, TemperatureModel,
 };
 use super::stationary::MAX_ZERO_RATE_RAD_S;
+use crate::attitude::Vector3;
 use crate::serialize::StateVisitor;
 use crate::units::STANDARD_GRAVITY_M_S2;
 
@@ -18,6 +20,11 @@ const MAX_OFFSET_M_S2: f32 = 0.2 * STANDARD_GRAVITY_M_S2;
 /// Largest scale error or cross-axis term of an accelerometer (ibidem) or a gyroscope (§6.1): 3 %
 /// and 2 %, and a margin.
 const MAX_MATRIX_ERROR: f32 = 0.1;
+/// Mean gains of a compass's matrix, whose readings are in µT.
+const COMPASS_GAINS: RangeInclusive<f32> = 0.1..=10.0;
+/// Least volume of what a compass's matrix makes of a cube, as a share of the cube with its mean
+/// gain. Soft iron that doubles one axis and halves another leaves 0.4.
+const LEAST_COMPASS_VOLUME: f32 = 0.1;
 /// Die temperatures that a part can report, °C: 16 bits of its register, rounded outwards.
 const REPORTED_CELSIUS: RangeInclusive<f32> = -80.0..=135.0;
 
@@ -133,6 +140,31 @@ impl Calibration {
     }
 }
 
+impl CompassCorrection {
+    /// Returns whether a compass can have this correction: its numbers are finite, its gains are a
+    /// tenth to ten, and the matrix keeps three axes apart. A matrix of zeros, or one with two
+    /// equal rows, gives a field that does not turn with the body.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::CompassCorrection;
+    ///
+    /// assert!(CompassCorrection::NONE.is_plausible());
+    /// let forgotten = CompassCorrection { matrix: [Vector3::ZERO; 3], ..CompassCorrection::NONE };
+    /// assert!(!forgotten.is_plausible());
+    /// ```
+    pub fn is_plausible(&self) -> bool {
+        let Vector3 { x, y, z } = self.hard_iron_ut;
+        let [a, b, c] = self.matrix;
+        let mean_gain = libm::sqrtf((a.dot(a) + b.dot(b) + c.dot(c)) / 3.0);
+        // Mirrored axes, as some compasses have, are right. A NaN fails both comparisons.
+        let volume = a.cross(b).dot(c).abs();
+        [x, y, z].iter().all(|it| it.is_finite())
+            && COMPASS_GAINS.contains(&mean_gain)
+            && volume >= LEAST_COMPASS_VOLUME * mean_gain * mean_gain * mean_gain
+    }
+}
+
 impl AccelerometerCorrection {
     /// Returns whether a working sensor can have this correction.
     pub(super) fn is_plausible(&self) -> bool {
@@ -185,7 +217,7 @@ impl StateVisitor for Finite {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::attitude::{EulerAngles, Quaternion, Vector3};
+    use crate::attitude::{EulerAngles, Quaternion};
     use crate::calibration::{GyroscopeOffset, SymmetricMatrix, TemperatureModel};
     use crate::units::radians;
 
@@ -339,5 +371,40 @@ mod tests {
         }
         let not_finite = Some(Quaternion::new(f32::NAN, 0.0, 0.0, 0.0));
         assert_eq!(check(|it| it.level = not_finite), Err(NotFinite));
+    }
+
+    #[test]
+    fn a_compass_keeps_three_axes_apart() {
+        let is_plausible = |rows: [[f32; 3]; 3], iron_ut: f32| {
+            let correction = CompassCorrection {
+                matrix: rows.map(|[x, y, z]| Vector3::new(x, y, z)),
+                hard_iron_ut: Vector3::new(0.0, iron_ut, 0.0),
+            };
+            correction.is_plausible()
+        };
+        let diagonal = |x, y, z| [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]];
+        for right in [
+            diagonal(1.0, 1.0, 1.0),
+            diagonal(2.0, 1.0, 0.5),
+            // A wrong scale of a driver; a compass with mirrored axes.
+            diagonal(0.25, 0.25, 0.25),
+            diagonal(4.0, 4.0, 4.0),
+            [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            [[1.1, 0.3, -0.2], [0.3, 0.9, 0.1], [-0.2, 0.1, 1.2]],
+        ] {
+            assert!(is_plausible(right, -1_500.0), "{right:?}");
+            assert!(!is_plausible(right, f32::NAN), "{right:?}");
+        }
+        for wrong in [
+            [[0.0; 3]; 3],
+            diagonal(1.0, 1.0, 0.0),
+            diagonal(100.0, 100.0, 100.0),
+            diagonal(0.01, 0.01, 0.01),
+            diagonal(1.0, 1.0, f32::NAN),
+            diagonal(1.0, 1.0, f32::INFINITY),
+            [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]],
+        ] {
+            assert!(!is_plausible(wrong, 0.0), "{wrong:?}");
+        }
     }
 }

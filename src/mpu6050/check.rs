@@ -104,6 +104,23 @@ impl Check {
         }
     }
 
+    /// Returns the bits that count in each register, and their expected values. Both are zero
+    /// beyond [`length`](Self::length).
+    ///
+    /// ```
+    /// use aplomb::mpu6050::{Check, Config, Part};
+    ///
+    /// let [ranges, ..] = Check::all(&Config::DEFAULT, &Part::MPU_6050);
+    /// let (masks, expected) = ranges.registers();
+    /// assert_eq!((masks[2], expected[2]), (0xF8, 0x18)); // GYRO_CONFIG
+    /// ```
+    pub const fn registers(&self) -> ([u8; Self::LONGEST], [u8; Self::LONGEST]) {
+        let [a, b, c, d] = self.masks.to_le_bytes();
+        let masks = [a, b, c, d, self.last_mask];
+        let [a, b, c, d] = self.expected.to_le_bytes();
+        (masks, [a, b, c, d, self.last_expected])
+    }
+
     /// Evaluates the bytes that were read; those beyond [`length`](Self::length) do not count.
     ///
     /// The check of the interrupt pin detects a reset: both of its registers are zero then, in
@@ -188,6 +205,25 @@ mod tests {
         assert_eq!(power.evaluate(&[0x40, 0x00, 0, 0, 0]), Changed);
         assert_eq!(interrupt.evaluate(&[0x00, 0x01, 0, 0, 0]), Changed);
         assert_eq!(interrupt.evaluate(&[0x00, 0x00, 9, 9, 9]), Reset);
+    }
+
+    #[test]
+    fn masks_and_values_judge_as_the_check_does() {
+        for part in &super::super::part::PARTS {
+            for check in Check::all(&Config::DEFAULT, part) {
+                let (masks, expected) = check.registers();
+                assert_eq!(check.evaluate(&expected), Intact);
+                for (place, mask) in masks.into_iter().enumerate() {
+                    assert!(place < check.length || mask == 0, "{check:?}");
+                    for bit in (0..8).map(|bit| 1_u8 << bit) {
+                        let mut bytes = expected;
+                        bytes[place] ^= bit;
+                        let is_intact = check.evaluate(&bytes) == Intact;
+                        assert_eq!(is_intact, mask & bit == 0, "{check:?}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]

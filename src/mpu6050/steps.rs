@@ -48,7 +48,8 @@ impl Step {
     }
 
     /// Returns the steps of [`Mpu6050::reconfigure`](super::Mpu6050::reconfigure), for a sensor
-    /// that has just reset itself, or that lost one setting. They take 30 ms.
+    /// that has just reset itself, or that lost one setting. They take 30 ms. None is a device
+    /// reset.
     pub const fn reconfiguration(config: &Config, part: &Part) -> Steps {
         Steps::new(WAKE | RANGES | INTERRUPT, config, part)
     }

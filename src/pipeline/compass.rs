@@ -105,7 +105,12 @@ impl CompassPipeline {
 
     /// Processes one calibrated sample in body axes like [`Pipeline::update_sample`].
     pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
-        let snapshot = self.pipeline.update_sample(sample);
+        self.update_sample_with(sample, BoardFlags::empty())
+    }
+
+    /// Processes one sample like [`Pipeline::update_sample_with`].
+    pub fn update_sample_with(&mut self, sample: &Sample, board: BoardFlags) -> Snapshot {
+        let snapshot = self.pipeline.update_sample_with(sample, board);
         self.update_heading(snapshot)
     }
 

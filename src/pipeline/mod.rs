@@ -37,9 +37,11 @@
 mod alignment;
 pub mod classic;
 mod compass;
+mod learned;
 mod offset;
 #[cfg(not(feature = "firmware"))]
 mod sample_order;
+mod samples;
 mod settings;
 mod snapshot;
 mod suspect_data;
@@ -59,9 +61,9 @@ use crate::calibration::{Calibration, StationaryDetector, StationaryMean};
 use crate::estimator::arithmetic::smaller;
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, Kalman, WarmStart};
 use crate::estimator::{Estimator, Filter, Issues, Sample};
-use crate::health::{BoardFlags, Flags, Monitor, Vibration};
 #[cfg(not(feature = "firmware"))]
-use crate::health::{SampleMonitor, Sampling};
+use crate::health::SampleMonitor;
+use crate::health::{BoardFlags, Flags, Monitor, Vibration};
 use crate::mpu6050::{Burst, RawSample, TemperatureCounts};
 use crate::serialize::StateVisitor;
 use crate::units::SECONDS_PER_MICROSECOND;
@@ -167,9 +169,7 @@ impl Pipeline {
         let mut flags = self.monitor.inspect(&burst.bytes, temperature.0);
         flags |= Flags::from(board);
         flags.set(Flags::MISSED, burst.missed_before > 0);
-        if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
-            self.monitor.confirm_scales();
-        }
+        self.take_scale_check(board);
         #[cfg(not(feature = "firmware"))]
         if self.is_late(burst.captured_at_us) {
             return self.skip(burst.captured_at_us, flags | Flags::TIME);
@@ -198,29 +198,12 @@ impl Pipeline {
         }
     }
 
-    /// Processes one calibrated sample in body axes, such as from a recording in SI units. Returns
-    /// the attitude at the sample's time. Times increase, as for [`update`](Self::update).
-    ///
-    /// Applies no calibration and no mount: [`calibrated_sample`](Self::calibrated_sample) does.
-    /// The calibration of the settings counts as applied already.
-    ///
-    /// Skips the checks that need the sensor's bytes: blank data and the temperature. Frozen data
-    /// and a stuck axis are flagged [`Flags::FROZEN`] only after a rest of 200 samples, one in each
-    /// 1/bandwidth. Their noise shows that the values do not repeat for another reason. With a
-    /// feature `board-…` neither they nor late samples are checked: the firmware takes bursts.
-    pub fn update_sample(&mut self, sample: &Sample) -> Snapshot {
-        self.monitor.confirm_scales();
-        #[cfg(not(feature = "firmware"))]
-        if self.is_late(sample.t_us) {
-            return self.skip(sample.t_us, Flags::TIME);
+    /// Confirms the full scales if the caller has read them back, or never does.
+    #[inline]
+    fn take_scale_check(&mut self, board: BoardFlags) {
+        if board.contains(BoardFlags::SCALES_VERIFIED) || !self.settings.verifies_scales {
+            self.monitor.confirm_scales();
         }
-        #[cfg(not(feature = "firmware"))]
-        if self.is_frozen(sample) {
-            // Frozen rates have turned the attitude for a while.
-            self.kalman_mut().lose_tilt();
-            return self.skip(sample.t_us, Flags::FROZEN);
-        }
-        self.process(sample, Flags::empty())
     }
 
     /// Returns whether a sample at this time is late.
@@ -228,19 +211,6 @@ impl Pipeline {
     #[inline]
     fn is_late(&mut self, t_us: u64) -> bool {
         (self.order).is_late(&mut self.estimator, t_us, &self.settings.sensor)
-    }
-
-    #[cfg(not(feature = "firmware"))]
-    #[inline]
-    fn is_frozen(&mut self, sample: &Sample) -> bool {
-        let values = [&sample.specific_force_m_s2, &sample.angular_rate_rad_s];
-        let is_saturated = [sample.is_force_saturated, sample.is_rate_saturated];
-        let sensor = &self.settings.sensor;
-        let sampling = || Sampling {
-            rate_hz: sensor.sample_rate_hz(),
-            bandwidth_hz: sensor.low_pass.gyroscope_bandwidth_hz(),
-        };
-        (self.sample_monitor).is_frozen(values, is_saturated, sampling)
     }
 
     /// Estimates the attitude, and completes the flags.

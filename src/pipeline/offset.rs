@@ -7,7 +7,7 @@ use crate::units::radians;
 
 /// σ of a stored offset at the temperature of its measurement, rad/s: the offset changes with the
 /// pose (0.1 °/s per g, product specification §6.1).
-const STORED_SIGMA_RAD_S: f32 = radians(0.1);
+pub(super) const STORED_SIGMA_RAD_S: f32 = radians(0.1);
 /// Least σ of a stored offset at a start, rad/s: it changes with each power-up and with age. The
 /// product specification has no figure for that. So a change of 2 °/s is within six σ.
 const LEAST_START_SIGMA_RAD_S: f32 = radians(0.35);

@@ -1114,6 +1114,42 @@ fn a_rate_jump_is_valid_after_the_full_scales_are_read_back() {
 }
 
 #[test]
+fn samples_in_si_units_wait_for_the_full_scales_too() {
+    for verifies_scales in [false, true] {
+        let mut pipeline = rested();
+        pipeline.settings.verifies_scales = verifies_scales;
+        for (step, board, is_valid) in [
+            // The jump itself is never valid.
+            (0, BoardFlags::empty(), false),
+            (1, BoardFlags::empty(), !verifies_scales),
+            (2, BoardFlags::SENSOR_RESET, !verifies_scales),
+            (3, BoardFlags::SCALES_VERIFIED, true),
+            (4, BoardFlags::empty(), true),
+        ] {
+            let sample = rolled(3_000_000 + 1_000 * step, 0.0, 80.0);
+            let flags = pipeline.update_sample_with(&sample, board).flags;
+            assert_eq!(flags.contains(Flags::VALID), is_valid, "{step}: {flags:?}");
+            let is_waiting = verifies_scales && step < 3;
+            assert_eq!(pipeline.awaits_scale_check(), is_waiting, "{step}");
+            let is_reset = board == BoardFlags::SENSOR_RESET;
+            assert_eq!(flags.contains(Flags::SENSOR_RESET), is_reset, "{flags:?}");
+        }
+    }
+}
+
+#[test]
+fn samples_carry_the_conditions_that_a_board_reports() {
+    let board = BoardFlags::BUS_FAULT | BoardFlags::LATE | BoardFlags::POLLED;
+    let mut pipeline = rested();
+    let next = pipeline.update_sample_with(&rolled(3_000_000, 0.0, 0.0), board);
+    let late = pipeline.update_sample_with(&rolled(2_999_000, 0.0, 0.0), board);
+    for (snapshot, more) in [(next, Flags::VALID), (late, Flags::TIME)] {
+        let expected = Flags::from(board) | Flags::DEGRADED | more;
+        assert_eq!(snapshot.flags, expected);
+    }
+}
+
+#[test]
 fn lost_settings_inflate_sigma_and_keep_the_attitude() {
     let (mut pipeline, t_us) = settled();
     let burst = noisy(t_us + 50_000, LEVEL);

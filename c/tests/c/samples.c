@@ -67,7 +67,7 @@ int main(int count, char **arguments)
     status = has_compass ? aplomb_compass_init(&with_compass, &settings)
                          : aplomb_init(&plain, &settings);
     while (status == APLOMB_STATUS_OK && fgets(line, sizeof line, stdin) != NULL) {
-        AplombSample sample;
+        AplombSample sample = {0};
         AplombField field;
         AplombSnapshot found;
         bool has_field = read_line(line, &sample, &field);

@@ -44,6 +44,7 @@ pub fn find(
     let mut settings = recording.settings;
     settings.mount = MOUNT;
     settings.calibration = *sensors;
+    settings.verifies_scales = false; // nothing is read back here
     let times_us = recording.samples.iter().take(ROWS_AHEAD);
     let times_us: Vec<i64> = times_us.map(|sample| sample.t_us).collect();
     settings.sensor.sample_rate_divider = sample_rate_divider(&times_us);

@@ -17,6 +17,14 @@ use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::estimator::arithmetic::{larger, smaller, square};
 use crate::estimator::filter::Filter as _;
 use crate::estimator::kalman::Kalman;
+use crate::units::MagneticField;
+
+/// Largest sum of a reading's components, µT: no compass of this kind reaches it.
+const LARGEST_FIELD_UT: f32 = 15_000.0;
+
+/// Age beyond which a reading says nothing of the present attitude, µs. An age that underflows, in
+/// a program that subtracts two times, is beyond it too.
+const OLDEST_READING_US: u32 = 1_000_000;
 
 /// Limit of a squared innovation per expected one, so that no single one counts for long.
 const LARGEST_INCONSISTENCY: f32 = 100.0;
@@ -38,6 +46,15 @@ struct Row {
 }
 
 impl Heading {
+    /// Returns whether [`add_field`](Self::add_field) uses a reading of this field and age, µs.
+    #[inline]
+    pub fn uses_field(field: MagneticField, age_us: u32) -> bool {
+        let [x, y, z] = field.ut;
+        let size = x.abs() + y.abs() + z.abs();
+        // A NaN fails the comparison.
+        size < LARGEST_FIELD_UT && age_us <= OLDEST_READING_US
+    }
+
     /// Returns the measured field in level axes without hard iron, µT.
     fn measured(&self) -> [f32; 3] {
         let [.., bx, by, bz, _, _, _] = self.state;

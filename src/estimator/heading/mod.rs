@@ -97,13 +97,6 @@ const LONGEST_SLICED_S: f32 = 4.0e-3;
 /// Upper limit of the slices per sample: more than a step has.
 const MOST_SLICES: u32 = 160;
 
-/// Largest sum of a reading's components, µT: no compass of this kind reaches it.
-const LARGEST_FIELD_UT: f32 = 15_000.0;
-
-/// Age beyond which a reading says nothing of the present attitude, µs. An age that underflows, in
-/// a program that subtracts two times, is beyond it too.
-const OLDEST_READING_US: u32 = 1_000_000;
-
 /// Heading of the level frame, in which yaw is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -433,10 +426,7 @@ impl Heading {
     ///
     /// The reading takes effect with the next sample. A reading that waits for it is replaced.
     pub fn add_field(&mut self, field: MagneticField, age_us: u32) {
-        let [x, y, z] = field.ut;
-        let size = x.abs() + y.abs() + z.abs();
-        // A NaN fails the comparison.
-        if size < LARGEST_FIELD_UT && age_us <= OLDEST_READING_US {
+        if Self::uses_field(field, age_us) {
             self.has_reading = true;
             self.reading_ut = field.ut;
             self.reading_age_s = age_us as f32 * SECONDS_PER_MICROSECOND;
