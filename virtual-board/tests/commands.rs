@@ -614,7 +614,7 @@ fn gyroscope_matrix(recording: &Outcome) -> String {
     Command::GyroscopeMatrix(gyroscope.matrix.to_ten_thousandths()).to_string()
 }
 
-/// At this attitude no byte of the quaternion is above 0x7F: half of the packets are text by chance.
+/// At this attitude no byte of the quaternion is above 0x7F, so half of the packets are text.
 #[test]
 fn teapot_packets_stay_out_of_the_firmware_log() {
     let tilted = Quaternion::from_euler(22.0_f64.to_radians(), 13.6_f64.to_radians(), 0.0);
