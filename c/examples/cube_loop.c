@@ -3,7 +3,8 @@
  *
  * Call attitude_start before the loop and attitude_poll in it. In stm32f4xx_it.c the handler of
  * the INT pin calls attitude_edge. All three get the count of one 32-bit timer at 1 MHz, such as
- * __HAL_TIM_GET_COUNTER(&htim5). Only attitude_start waits. */
+ * __HAL_TIM_GET_COUNTER(&htim5). Only attitude_start waits for the sensor; each transfer blocks for
+ * 2 ms at most. */
 #include "cube_loop.h"
 
 #include <stddef.h>

@@ -151,8 +151,8 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_TEMPERATURE_RANGE = 18,
   // The time is before that of the last sample. A clock of 32 bits has wrapped.
   APLOMB_STATUS_WRONG_TIME = 19,
-  // The compass's matrix is no correction: its gains are 0.1 to 10. All nine numbers are needed:
-  // 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
+  // The compass's matrix is no correction: its mean gain is 0.1 to 10. All nine numbers
+  // are needed: 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
   APLOMB_STATUS_WRONG_COMPASS = 20,
   // No compass gives this field, or the reading is older than a second: an age below zero has
   // wrapped.
@@ -548,7 +548,7 @@ enum AplombStatus aplomb_reconfiguration_step(const struct AplombSettings *setti
                                               struct AplombStep *step);
 
 // Writes the check of this index, from 0, of the sensor's settings: together they cover each
-// register that `aplomb_configuration_step` writes. After the last one returns
+// setting that `aplomb_configuration_step` writes. After the last one returns
 // `APLOMB_STATUS_NO_MORE_STEPS`.
 enum AplombStatus aplomb_settings_check(const struct AplombSettings *settings,
                                         uint32_t index,

@@ -153,8 +153,8 @@ pub enum AplombStatus {
     WrongTemperatureRange = 18,
     /// The time is before that of the last sample. A clock of 32 bits has wrapped.
     WrongTime = 19,
-    /// The compass's matrix is no correction: its gains are 0.1 to 10. All nine numbers are needed:
-    /// 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
+    /// The compass's matrix is no correction: its mean gain is 0.1 to 10. All nine numbers
+    /// are needed: 1, 0, 0, 0, 1, 0, 0, 0, 1 for hard iron alone.
     WrongCompass = 20,
     /// No compass gives this field, or the reading is older than a second: an age below zero has
     /// wrapped.

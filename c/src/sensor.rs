@@ -59,7 +59,7 @@ pub extern "C" fn aplomb_reconfiguration_step(
 }
 
 /// Writes the check of this index, from 0, of the sensor's settings: together they cover each
-/// register that `aplomb_configuration_step` writes. After the last one returns
+/// setting that `aplomb_configuration_step` writes. After the last one returns
 /// `APLOMB_STATUS_NO_MORE_STEPS`.
 #[allow(unsafe_code, reason = "C finds the function by this name")]
 #[unsafe(no_mangle)]

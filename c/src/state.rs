@@ -17,7 +17,7 @@ pub const APLOMB_COMPASS_PIPELINE_WORDS: usize = 480;
 
 /// First word of memory that holds a pipeline, before [`of_this_program`]: no text, no pointer, no
 /// pattern of fresh memory.
-const MARK: u64 = 0xA910_3B5E_7C1D_42F1;
+pub(crate) const MARK: u64 = 0xA910_3B5E_7C1D_42F1;
 
 /// Mark of a pipeline with a compass.
 const COMPASS_MARK: u64 = 0xC35D_90E7_1B64_A82F;
@@ -25,8 +25,13 @@ const COMPASS_MARK: u64 = 0xC35D_90E7_1B64_A82F;
 /// Returns a mark for this program. A pipeline has pointers to constants, whose addresses differ in
 /// another program: it may be the new firmware after an update, and find the old one's memory.
 fn of_this_program(mark: u64) -> u64 {
+    of_program(mark, PARTS.as_ptr().addr())
+}
+
+/// Returns a mark for the program that has its constants at this address.
+pub(crate) fn of_program(mark: u64, constants_at: usize) -> u64 {
     let size = size_of::<WithCompass>() as u64;
-    mark ^ PARTS.as_ptr().addr() as u64 ^ u64::from(REVISION) << 32 ^ size << 48
+    mark ^ constants_at as u64 ^ u64::from(REVISION) << 32 ^ size << 48
 }
 
 /// Memory of a pipeline. Its contents are the library's own. It may be static, on the stack or in a

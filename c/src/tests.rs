@@ -2,6 +2,7 @@
 //! `tests/c/boundary.c` does more, under the sanitizers.
 
 use super::*;
+use crate::state::{MARK, of_program};
 
 /// Bytes by chance, the same in each run.
 struct Chance(u32);
@@ -120,9 +121,13 @@ fn the_pipeline_of_another_program_is_none() {
     let settings = aplomb_default_settings();
     let started = aplomb_init(Some(&mut plain), Some(&settings));
     assert_eq!(started, AplombStatus::Ok);
-    plain.opaque[0] ^= 0x100; // constants at another place
-    let status = aplomb_stale(Some(&mut plain), 0, Some(&mut snapshot));
-    assert_eq!(status, AplombStatus::NotInitialised);
+    let here = aplomb::mpu6050::PARTS.as_ptr().addr();
+    assert_eq!(plain.opaque[0], of_program(MARK, here));
+    for of_another in [MARK, of_program(MARK, here + 0x100)] {
+        plain.opaque[0] = of_another;
+        let status = aplomb_stale(Some(&mut plain), 0, Some(&mut snapshot));
+        assert_eq!(status, AplombStatus::NotInitialised);
+    }
 }
 
 #[test]

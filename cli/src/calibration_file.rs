@@ -69,7 +69,8 @@ impl CalibrationFile {
         if !compass.as_ref().is_none_or(is_plausible) {
             return Err(
                 "no compass has the correction in \"compass\": its hard iron has to be below 5000 \
-                 uT, the gains of its matrix from 0.1 to 10, and its rows in different directions"
+                 uT, the mean gain of its matrix from 0.1 to 10, and its rows in different \
+                 directions"
                     .into(),
             );
         }

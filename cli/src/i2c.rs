@@ -158,6 +158,8 @@ pub trait Sampled: Send {
     fn step(&mut self) -> Result<Option<Burst>, String>;
     /// Configures the sensor again. Returns whether it answers.
     fn is_back(&mut self) -> bool;
+    /// Returns whether the bus is too slow for the sample rate: to wait does not help.
+    fn is_bus_too_slow(&self) -> bool;
     /// Returns the bytes of the flight log since the last call.
     fn take_bytes(&self) -> Vec<u8>;
     /// Writes a message into the flight log.
@@ -272,6 +274,10 @@ mod linux {
 
         fn is_back(&mut self) -> bool {
             Self::is_back(self)
+        }
+
+        fn is_bus_too_slow(&self) -> bool {
+            Self::is_bus_too_slow(self)
         }
 
         fn take_bytes(&self) -> Vec<u8> {

@@ -199,6 +199,11 @@ fn serve_sensor(mut sensor: Box<dyn Sampled>, reports: &Sender<Report>, orders: 
             return;
         }
         let Err(reason) = step else { continue };
+        if sensor.is_bus_too_slow() {
+            // If the channel is closed, nobody waits for the reason.
+            reports.send(Report::Ended(reason)).ok();
+            return;
+        }
         if reports.send(Report::Away(reason)).is_err() {
             return;
         }

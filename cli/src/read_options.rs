@@ -12,6 +12,7 @@ use aplomb::units::radians;
 use aplomb_recordings::flight_log::{Flight, FlightLog};
 use aplomb_recordings::form::Form;
 use aplomb_recordings::log::Lines;
+use aplomb_recordings::terminal::print_message;
 use aplomb_recordings::units::{RowOptions, knowledge};
 
 use crate::any_pipeline::FilterName;
@@ -213,6 +214,13 @@ impl ReadOptions {
         self.check_armed(form)?;
         let arming = Arming::new(self.armed_from);
         let stated = *lines.stated();
+        if !matches!(form, Form::Bursts) && stated.has_ranges() {
+            let name = lines.name();
+            print_message(&format!(
+                "warning: {name}: the full scales in its comments change nothing: SI units have \
+                 none, and counts need --accel-range and --gyro-range"
+            ));
+        }
         let (calibration, compass) = self.calibration(form, stated.accelerometer)?;
         let accelerometer = match calibration.accelerometer {
             Some(_) => None,

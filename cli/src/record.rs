@@ -581,6 +581,10 @@ mod tests {
             true
         }
 
+        fn is_bus_too_slow(&self) -> bool {
+            false
+        }
+
         fn take_bytes(&self) -> Vec<u8> {
             Vec::new()
         }

@@ -179,12 +179,13 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
     ///
     /// # Errors
     ///
-    /// Returns the reason if most bursts are late, because a transfer takes longer than a period.
+    /// Returns the reason if [`LATE_OF_A_SLOW_BUS`] bursts were late, and even the shortest
+    /// transfer takes longer than a period. [`is_bus_too_slow`](Self::is_bus_too_slow) is true then.
     fn is_too_late(&mut self, started_us: u64) -> Result<bool, String> {
         let ended_us = self.edges.now_us();
         let transfer_us = ended_us.saturating_sub(started_us);
         self.shortest_us = self.shortest_us.min(transfer_us);
-        let period_us = (1e6 / self.config.sample_rate_hz()) as u64;
+        let period_us = self.period_us();
         if self.edges.is_polled() {
             return Ok(transfer_us - self.shortest_us > period_us);
         }
@@ -192,7 +193,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
         let next_us = self.edges.pending_us()?;
         let is_late = next_us.is_some_and(|next_us| next_us <= fixed_us);
         self.late = self.late.saturating_add(u8::from(is_late));
-        if self.late >= LATE_OF_A_SLOW_BUS && self.shortest_us > period_us {
+        if self.is_bus_too_slow() {
             return Err(format!(
                 "a transfer takes {} µs, and samples come each {period_us} µs: lower --rate-hz, \
                  or make the bus faster",
@@ -200,6 +201,15 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
             ));
         }
         Ok(is_late)
+    }
+
+    /// Returns whether the bus is too slow for the sample rate: to wait does not help.
+    pub fn is_bus_too_slow(&self) -> bool {
+        self.late >= LATE_OF_A_SLOW_BUS && self.shortest_us > self.period_us()
+    }
+
+    fn period_us(&self) -> u64 {
+        (1e6 / self.config.sample_rate_hz()) as u64
     }
 
     /// Reads the settings back, and restores them if the sensor has lost one. A failed transfer
@@ -623,7 +633,8 @@ mod tests {
         let error = (0..300).find_map(|_| sampler.step().err());
         let error = error.expect("most bursts are late");
         assert!(error.contains("samples come each 5000 µs"), "{error}");
-        assert!(sampler.is_back());
+        assert!(sampler.is_bus_too_slow());
+        assert!(sampler.is_back() && !sampler.is_bus_too_slow());
         assert_eq!(sampler.step().map(|burst| burst.is_some()), Ok(false));
         // One preempted burst is older than the others by more than a period.
         let slow = |burst| if burst == 40 { 18_000 } else { 12_000 };

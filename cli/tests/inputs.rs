@@ -758,6 +758,11 @@ fn a_comment_that_is_meant_as_an_option_counts_or_is_reported() {
     let expected = "unused.csv:1: the comment \"--gyroscope calibrated\" changes nothing: only";
     assert!(errors.contains(expected), "{errors}");
     assert_eq!(attitudes_of("dashes.csv", b"# -----\n").unwrap().1, "");
+    // A table in SI units has no full scale.
+    let (found, errors) = attitudes_of("scales.csv", b"# --accel-range 2\n").unwrap();
+    assert!(found == unstated);
+    let expected = "scales.csv: the full scales in its comments change nothing";
+    assert!(errors.contains(expected), "{errors}");
 }
 
 /// Returns bursts of a sensor at rest, one a millisecond, at 2 g and 250 °/s.

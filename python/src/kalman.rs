@@ -295,8 +295,8 @@ impl Kalman {
     ///     True in flight: the filter then takes no steady motion for a rest, and measures
     ///     nothing at a rest. Without it, the filter is never armed.
     /// check_units : bool
-    ///     False takes the arrays as they are. True (the default) checks their units as `read_log`
-    ///     does. A recording was checked before.
+    ///     False skips the checks of units. True (the default) checks them as `read_log` does.
+    ///     A recording was checked before.
     ///
     /// Raises ValueError if the numbers suggest another unit, with what to pass. Warns with
     /// UserWarning if they may be in another unit, or if the rates do not fit the force.

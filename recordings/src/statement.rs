@@ -68,6 +68,12 @@ impl Statements {
         Ok(unused)
     }
 
+    /// Returns whether a full scale is stated.
+    #[must_use]
+    pub const fn has_ranges(&self) -> bool {
+        self.accelerometer_range.is_some() || self.gyroscope_range.is_some()
+    }
+
     /// Returns the comments that state the same, a line each.
     #[must_use]
     pub fn comments(&self) -> String {

@@ -141,8 +141,8 @@ impl Calibration {
 }
 
 impl CompassCorrection {
-    /// Returns whether a compass can have this correction: its numbers are finite, its gains are a
-    /// tenth to ten, and the matrix keeps three axes apart. A matrix of zeros, or one with two
+    /// Returns whether a compass can have this correction: its numbers are finite, its mean gain
+    /// is a tenth to ten, and the matrix keeps three axes apart. A matrix of zeros, or one with two
     /// equal rows, gives a field that does not turn with the body.
     ///
     /// ```

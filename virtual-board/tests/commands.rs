@@ -625,6 +625,9 @@ fn teapot_packets_stay_out_of_the_firmware_log() {
         .seconds(7.0)
         .motion(Rest::new(tilted))
         .command(1.0, "format teapot"));
+    let sent = outcome.record.received.windows(2);
+    let sent = sent.filter(|pair| [pair[0].byte, pair[1].byte] == *b"$\x02");
+    assert!(sent.count() > 250);
     let is_packet = |text: &str| text.contains('\u{2}');
     let packets = outcome.log().iter().filter(|line| is_packet(&line.text));
     assert_eq!(packets.count(), 0);

@@ -139,7 +139,9 @@ fn distance(found: Quaternion, expected: &[f64]) -> f64 {
     let with_sign = |sign: f64| {
         let pairs = found.iter().zip(expected);
         pairs.fold(0.0_f64, |largest, (found, expected)| {
-            largest.max((sign * found - expected).abs())
+            let difference = (sign * found - expected).abs();
+            assert!(difference.is_finite(), "{found} is no number");
+            largest.max(difference)
         })
     };
     with_sign(1.0).min(with_sign(-1.0))
@@ -169,6 +171,7 @@ fn largest_differences<'a>(
         let level = distance(filter.level_attitude(), &row[2..6]);
         let attitude = level.max(distance(filter.attitude(), &row[6..10]));
         let bias = norm(subtract(filter.bias_rad_s(), [row[10], row[11], row[12]]));
+        assert!(bias.is_finite(), "{bias} is no number");
         largest = (largest.0.max(attitude), largest.1.max(bias));
     }
     largest

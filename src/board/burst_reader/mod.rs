@@ -79,6 +79,8 @@ pub struct BurstReader {
     transaction: Transaction,
     /// True if a bus error has been flagged while the sensor sent.
     is_suspect: bool,
+    /// Bursts that were taken back since the reader was enabled.
+    withdrawn: u8,
     /// First register of the present steps.
     pointer: u8,
     /// Buffer that DMA fills.
@@ -130,6 +132,7 @@ impl BurstReader {
             step: BurstStep::Idle,
             transaction: Transaction::Burst,
             is_suspect: false,
+            withdrawn: 0,
             pointer: Register::AccelerometerXHigh.address(),
             buffer: BufferIndex::First,
             captured_at_us: 0,
@@ -335,7 +338,8 @@ impl BurstReader {
     }
 
     /// Takes a burst back whose last byte came with a bus error: if both interrupts are pending,
-    /// that of the transfer comes first.
+    /// that of the transfer comes first. The supervisor recovers the bus after
+    /// [`FAILURES_IN_A_ROW`] such bursts.
     #[cold]
     #[inline(never)]
     fn withdraw_lost_burst(&mut self) {
@@ -344,12 +348,17 @@ impl BurstReader {
             1 => BufferIndex::First,
             _ => BufferIndex::Second,
         };
-        // SAFETY: the attitude task has not taken this buffer, and waits until this interrupt ends.
+        // SAFETY: DMA does not write this buffer. The attitude task at most begins to read it.
         let received = unsafe { &*BUFFERS.0[buffer as usize].get() };
-        if received.has_lost_end() {
+        // After a late attitude the last burst was not offered, but one before it.
+        if received.has_lost_end() && !self.flags.contains(BoardFlags::LATE) {
             READY.store(NONE_READY, Ordering::Relaxed);
             self.missed = received.burst.missed_before.saturating_add(1);
             self.flags |= received.flags | BoardFlags::BUS_FAULT;
+            self.withdrawn += 1;
+            if self.withdrawn >= FAILURES_IN_A_ROW {
+                self.disable();
+            }
         }
     }
 
@@ -392,6 +401,7 @@ impl BurstReader {
 
     /// Loads the supervisor's set-up and flags, after the reader was enabled.
     fn load_set_up(&mut self) {
+        self.withdrawn = 0;
         self.return_to_edges();
         enable_event_interrupts();
         self.address_byte = LINK.address.load(Ordering::Relaxed) << 1;
