@@ -180,7 +180,7 @@ impl<B: I2c, D: DelayNs, E: Edges> Sampler<B, D, E> {
     /// # Errors
     ///
     /// Returns the reason if [`LATE_OF_A_SLOW_BUS`] bursts were late, and even the shortest
-    /// transfer takes longer than a period. [`is_bus_too_slow`](Self::is_bus_too_slow) is true then.
+    /// transfer takes longer than a period: see [`is_bus_too_slow`](Self::is_bus_too_slow).
     fn is_too_late(&mut self, started_us: u64) -> Result<bool, String> {
         let ended_us = self.edges.now_us();
         let transfer_us = ended_us.saturating_sub(started_us);

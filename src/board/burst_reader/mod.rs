@@ -340,18 +340,17 @@ impl BurstReader {
     /// Takes a burst back whose last byte came with a bus error: if both interrupts are pending,
     /// that of the transfer comes first. The supervisor recovers the bus after
     /// [`FAILURES_IN_A_ROW`] such bursts.
-    #[cold]
-    #[inline(never)]
     fn withdraw_lost_burst(&mut self) {
-        let buffer = match READY.load(Ordering::Relaxed) {
-            NONE_READY | TAKEN => return,
-            1 => BufferIndex::First,
-            _ => BufferIndex::Second,
+        let ready = usize::from(READY.load(Ordering::Relaxed));
+        // `NONE_READY` and `TAKEN` are no buffer's.
+        let Some(buffer) = BUFFERS.0.get(ready.wrapping_sub(1)) else {
+            return;
         };
         // SAFETY: DMA does not write this buffer. The attitude task at most begins to read it.
-        let received = unsafe { &*BUFFERS.0[buffer as usize].get() };
+        let received = unsafe { &*buffer.get() };
         // After a late attitude the last burst was not offered, but one before it.
-        if received.has_lost_end() && !self.flags.contains(BoardFlags::LATE) {
+        let was_offered = self.missed == 0;
+        if received.has_lost_end() && was_offered {
             READY.store(NONE_READY, Ordering::Relaxed);
             self.missed = received.burst.missed_before.saturating_add(1);
             self.flags |= received.flags | BoardFlags::BUS_FAULT;
@@ -385,10 +384,10 @@ impl BurstReader {
             // The chip may flag a bus error that did not happen (errata): the transfer continues.
             // After a real one the sensor acknowledges nothing more, or releases the bus.
             retained::count(FaultClass::BusError);
-            match self.step {
-                BurstStep::Data => self.is_suspect = true,
-                BurstStep::Idle => self.withdraw_lost_burst(),
-                _ => {}
+            if self.step == BurstStep::Data {
+                self.is_suspect = true;
+            } else {
+                self.withdraw_lost_burst();
             }
             return;
         } else {

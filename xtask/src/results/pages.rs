@@ -363,8 +363,7 @@ fn cost(data: &Data) -> Result<String, String> {
     let measured = format!(
         "`cargo xtask cost`: a sample in, quaternion and body rates out, on a Cortex-M4F in QEMU, \
          held to `tests/golden/cost.txt`. Flash and RAM are bytes. The profile is `rigs`, for \
-         speed; with `firmware`, for size, `kalman` has {} bytes. The cost of VQF, \
-         which is in `f64`, is not measured.",
+         speed; with `firmware`, for size, `kalman` has {} bytes. VQF is not measured.",
         count(size, "kalman_flash_bytes")?
     );
     let mut text = opening("Cost of one update", cost, &measured)?;
