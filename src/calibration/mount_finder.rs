@@ -120,21 +120,18 @@ impl core::error::Error for MountError {}
 
 /// Returns the mount whose axes are nearest to these directions; a zero vector means any.
 fn nearest(forward: Vector3, down: Vector3) -> Result<Mount, MountError> {
-    let cosines = |mount: Mount| {
-        let forward_cosine = mount.to_sensor(BodyVector::new(1.0, 0.0, 0.0)).dot(forward);
-        let down_cosine = mount.to_sensor(BodyVector::new(0.0, 0.0, 1.0)).dot(down);
-        (forward_cosine, down_cosine)
-    };
-    let mut best = (Mount::Z_UP, f32::NEG_INFINITY);
+    let mut best_score = f32::NEG_INFINITY;
+    let mut best = (Mount::Z_UP, 0.0, 0.0);
     for mount in Mount::ALL {
-        let (forward_cosine, down_cosine) = cosines(mount);
+        let forward_cosine = mount.to_body(forward).0.x;
+        let down_cosine = mount.to_body(down).0.z;
         let score = forward_cosine + 2.0 * down_cosine;
-        if score > best.1 {
-            best = (mount, score);
+        if score > best_score {
+            best_score = score;
+            best = (mount, forward_cosine, down_cosine);
         }
     }
-    let (mount, _) = best;
-    let (forward_cosine, down_cosine) = cosines(mount);
+    let (mount, forward_cosine, down_cosine) = best;
     let smaller = if forward == Vector3::ZERO {
         down_cosine
     } else {
