@@ -34,7 +34,7 @@ pub enum FaultClass {
     DataLineLow = 3,
     /// SCL was held low during a bus recovery.
     ClockLineLow = 4,
-    /// A START or STOP was misplaced.
+    /// A START or STOP was misplaced, or a setting was garbled on its way.
     BusError = 5,
     /// SDA was low while this side released it.
     ArbitrationLost = 6,

@@ -157,7 +157,10 @@ impl Sensor {
                 .verify_config(&self.config)
                 .map_err(NotReady::Sensor)?;
             let needs_reconfiguration = settings != SettingsState::Intact;
+            let was_wrong = burst_reader::take_wrong_setting();
             match settings {
+                // The setting was right: the bus garbled it on the way.
+                SettingsState::Intact if was_wrong => retained::count(FaultClass::BusError),
                 SettingsState::Intact => {}
                 SettingsState::Reset => retained::count(FaultClass::SensorReset),
                 SettingsState::Changed => retained::count(FaultClass::RegisterChanged),

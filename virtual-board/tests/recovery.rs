@@ -740,7 +740,7 @@ fn saving(mut case: Case, save_s: f64) -> Case {
 /// of the watchdog in Hz, course, faults, and the flaw.
 ///
 /// A seed draws the same flight, until a kind of fault is added to those that seeds draw.
-const ONCE_FAILED: [(u64, u64, Course, &str, &str); 22] = [
+const ONCE_FAILED: [(u64, u64, Course, &str, &str); 23] = [
     (
         160_000_236,
         37_047,
@@ -899,6 +899,13 @@ const ONCE_FAILED: [(u64, u64, Course, &str, &str); 22] = [
         plain,
         "1.865825 0.022861 bus-error\n",
         "a burst whose last byte the sensor had not sent was valid",
+    ),
+    (
+        1_400_000_601,
+        45_943,
+        plain,
+        "1.773367 0 sda-low:7:0x3c\n",
+        "a setting that was garbled on its way was counted in no class",
     ),
 ];
 

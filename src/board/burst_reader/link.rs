@@ -72,6 +72,8 @@ pub(super) struct Link {
     pub(super) is_enabled: AtomicBool,
     /// True if the supervisor needs the bus.
     pub(super) is_pause_wanted: AtomicBool,
+    /// True if a check of settings has found a wrong one.
+    pub(super) has_wrong_setting: AtomicBool,
     /// Count (16 bits), fault and step (8 bits each) of failures in one word, so that no task reads
     /// half of it.
     failures: AtomicU32,
@@ -87,6 +89,7 @@ pub(super) static LINK: Link = Link {
     address: AtomicU8::new(0),
     is_enabled: AtomicBool::new(false),
     is_pause_wanted: AtomicBool::new(false),
+    has_wrong_setting: AtomicBool::new(false),
     failures: AtomicU32::new(0),
     pending_flags: AtomicU32::new(0),
     is_stale: AtomicBool::new(false),
@@ -155,6 +158,14 @@ pub fn request_transaction() {
 pub fn flag_sensor_reset() {
     LINK.pending_flags
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
+}
+
+/// Takes the finding of a check between two bursts: true if a setting was wrong. Only the supervisor
+/// calls this, while the reader is disabled.
+pub fn take_wrong_setting() -> bool {
+    let is_wrong = LINK.has_wrong_setting.load(Ordering::Relaxed);
+    LINK.has_wrong_setting.store(false, Ordering::Relaxed);
+    is_wrong
 }
 
 /// Enables the reader. The supervisor calls this while the reader is disabled, the bus is free, and

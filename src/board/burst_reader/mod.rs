@@ -40,6 +40,7 @@ mod transaction;
 pub use compass_transfer::{CompassTransfers, set_compass_fault};
 pub use link::{
     enable, failures, flag_sensor_reset, is_enabled, pause, request_transaction, take_stale,
+    take_wrong_setting,
 };
 pub use port::is_bus_held;
 
@@ -64,6 +65,8 @@ pub const BURST_DEADLINE_US: u32 = 800;
 pub const SILENCE_DEADLINE_US: u32 = 3_000;
 /// Failed bursts in a row after which the bus is recovered and the sensor checked.
 pub const FAILURES_IN_A_ROW: u8 = 3;
+/// Bursts that are taken back before the bus is recovered, whatever comes between them.
+const MOST_WITHDRAWN: u8 = 3;
 /// Period of stale snapshots while the reader is disabled, in µs.
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
@@ -339,7 +342,7 @@ impl BurstReader {
 
     /// Takes a burst back whose last byte came with a bus error: if both interrupts are pending,
     /// that of the transfer comes first. The supervisor recovers the bus after
-    /// [`FAILURES_IN_A_ROW`] such bursts.
+    /// [`MOST_WITHDRAWN`] such bursts.
     fn withdraw_lost_burst(&mut self) {
         let ready = usize::from(READY.load(Ordering::Relaxed));
         // `NONE_READY` and `TAKEN` are no buffer's.
@@ -355,7 +358,7 @@ impl BurstReader {
             self.missed = received.burst.missed_before.saturating_add(1);
             self.flags |= received.flags | BoardFlags::BUS_FAULT;
             self.withdrawn += 1;
-            if self.withdrawn >= FAILURES_IN_A_ROW {
+            if self.withdrawn >= MOST_WITHDRAWN {
                 self.disable();
             }
         }
@@ -384,10 +387,10 @@ impl BurstReader {
             // The chip may flag a bus error that did not happen (errata): the transfer continues.
             // After a real one the sensor acknowledges nothing more, or releases the bus.
             retained::count(FaultClass::BusError);
-            if self.step == BurstStep::Data {
-                self.is_suspect = true;
-            } else {
-                self.withdraw_lost_burst();
+            match self.step {
+                BurstStep::Data => self.is_suspect = true,
+                BurstStep::Idle => self.withdraw_lost_burst(),
+                _ => {}
             }
             return;
         } else {

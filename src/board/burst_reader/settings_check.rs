@@ -4,8 +4,9 @@
 //! the reader, and the supervisor configures the sensor again.
 
 use core::cell::UnsafeCell;
+use core::sync::atomic::Ordering;
 
-use super::link::{CHECKS, setup};
+use super::link::{CHECKS, LINK, setup};
 use super::{BURST_DEADLINE_US, BurstReader, Transaction, dma};
 use crate::board::timebase::{self, Timebase};
 use crate::health::BoardFlags;
@@ -45,6 +46,7 @@ impl BurstReader {
         self.resume_bursts(is_intact, timebase);
         if !is_intact {
             // The supervisor checks again, and counts the fault.
+            LINK.has_wrong_setting.store(true, Ordering::Relaxed);
             self.disable();
         }
     }
