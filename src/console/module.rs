@@ -95,7 +95,8 @@ impl Outcome {
     pub const CAPACITY: usize = 240;
 
     /// Creates an outcome. Text beyond [`CAPACITY`](Self::CAPACITY) is left out.
-    pub fn new(is_ok: bool, reason: impl fmt::Display) -> Self {
+    #[inline(never)]
+    pub fn new(is_ok: bool, reason: &dyn fmt::Display) -> Self {
         let mut text = heapless::String::new();
         write!(text, "{reason}").ok();
         Self { is_ok, text }

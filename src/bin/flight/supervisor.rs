@@ -207,12 +207,12 @@ fn perform(
 ) -> Outcome {
     match job {
         Job::Save => match save(flash) {
-            Ok(()) => Outcome::new(true, "stored"),
-            Err(error) => Outcome::new(false, error),
+            Ok(()) => Outcome::new(true, &"stored"),
+            Err(error) => Outcome::new(false, &error),
         },
         Job::ReadBack => match sensor.read_back() {
-            Ok(read) => Outcome::new(read.settings == SettingsState::Intact, read),
-            Err(reason) => Outcome::new(false, message_for(reason)),
+            Ok(read) => Outcome::new(read.settings == SettingsState::Intact, &read),
+            Err(reason) => Outcome::new(false, &message_for(reason)),
         },
         Job::SelfTest => self_test(sensor, compass),
     }
@@ -236,15 +236,15 @@ fn self_test(sensor: &mut Sensor, compass: CompassToTest) -> Outcome {
     let compass = compass.map(|(part, trims)| sensor.test_compass(part, trims));
     let tested = match sensor.test() {
         Ok(tested) => tested,
-        Err(reason) => return Outcome::new(false, message_for(reason)),
+        Err(reason) => return Outcome::new(false, &message_for(reason)),
     };
     let is_ok = tested.has_passed() != Some(false);
     match compass {
-        None => Outcome::new(is_ok, tested),
+        None => Outcome::new(is_ok, &tested),
         Some(Ok(compass)) => {
             let is_ok = is_ok && compass.has_passed() != Some(false);
-            Outcome::new(is_ok, format_args!("{tested}; {compass}"))
+            Outcome::new(is_ok, &format_args!("{tested}; {compass}"))
         }
-        Some(Err(fault)) => Outcome::new(false, format_args!("{tested}; compass: {fault}")),
+        Some(Err(fault)) => Outcome::new(false, &format_args!("{tested}; compass: {fault}")),
     }
 }

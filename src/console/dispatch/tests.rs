@@ -293,7 +293,7 @@ fn a_record_from_before_a_reset_continues_unsaved() {
     assert!(harness.console.has_unsaved());
     assert_eq!(harness.console.working().calibration, full().calibration);
     harness.ask("save");
-    harness.module.outcome = Some(Outcome::new(true, "stored"));
+    harness.module.outcome = Some(Outcome::new(true, &"stored"));
     assert_eq!(harness.wait(0.1), ["done save: stored"]);
     assert!(!harness.console.has_unsaved());
 }
@@ -394,7 +394,7 @@ fn save_writes_what_has_changed_and_nothing_else() {
     // Other input waits meanwhile.
     harness.receive("status\n");
     assert_eq!(harness.wait(0.5), [""; 0]);
-    harness.module.outcome = Some(Outcome::new(false, "the flash refuses"));
+    harness.module.outcome = Some(Outcome::new(false, &"the flash refuses"));
     assert_eq!(
         harness.poll().as_deref(),
         Some("failed save: the flash refuses")
@@ -402,7 +402,7 @@ fn save_writes_what_has_changed_and_nothing_else() {
     let status = harness.poll().expect("the line that waited");
     assert!(status.contains("unsaved=yes"), "{status}");
     harness.ask("save");
-    harness.module.outcome = Some(Outcome::new(true, "stored"));
+    harness.module.outcome = Some(Outcome::new(true, &"stored"));
     assert_eq!(harness.poll().as_deref(), Some("done save: stored"));
     assert_eq!(harness.console.stored(), &expected);
     assert_eq!(harness.ask("save"), nothing);
@@ -430,7 +430,7 @@ fn other_commands_wait_for_a_job_and_for_a_change_of_the_baud_rate() {
     harness.ask("self-test");
     harness.poll();
     assert!(harness.console.is_busy());
-    harness.module.outcome = Some(Outcome::new(true, "passed"));
+    harness.module.outcome = Some(Outcome::new(true, &"passed"));
     harness.poll();
     assert!(!harness.console.is_busy());
     harness.ask("baud 921600");
@@ -1112,7 +1112,7 @@ fn a_declination_is_set_shown_and_kept() {
     assert!(harness.console.has_unsaved());
     harness.ask("save");
     assert_eq!(harness.calls(), [Call::Begin(Job::Save)]);
-    harness.module.outcome = Some(Outcome::new(true, "stored"));
+    harness.module.outcome = Some(Outcome::new(true, &"stored"));
     harness.poll();
     harness.ask("declination 3.50");
     assert!(!harness.console.has_unsaved(), "it is the same");
