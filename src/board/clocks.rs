@@ -50,7 +50,8 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
 fn stop_prefetch_on_revision_a() {
     // SAFETY: reading this register has no side effect.
     let identity = unsafe { &*DBGMCU::ptr() }.idcode().read();
-    if identity.dev_id().bits() == STM32F405 && identity.rev_id().bits() == REVISION_A {
+    let (device, revision) = (identity.dev_id().bits(), identity.rev_id().bits());
+    if device == REVISION_A_DEVICE || (device == STM32F405 && revision == REVISION_A) {
         // SAFETY: only init, before any interrupt, writes this register.
         unsafe { &*FLASH::ptr() }
             .acr()
@@ -63,6 +64,9 @@ fn stop_prefetch_on_revision_a() {
 const STM32F405: u16 = 0x413;
 #[cfg(feature = "board-stm32f405")]
 const REVISION_A: u16 = 0x1000;
+/// DEV_ID of revision A: that of the STM32F2 (errata sheet ES0182, "MCU device ID is incorrect").
+#[cfg(feature = "board-stm32f405")]
+const REVISION_A_DEVICE: u16 = 0x411;
 
 /// Switches the power controller's clock on, which [`voltage_is_ready`] needs, and selects the
 /// regulator's scale. The scale takes effect with the PLL, and must be selected while the PLL is

@@ -79,10 +79,17 @@ impl SensorBus {
         self.drive(SDA, true);
         self.set_pin_modes(PinMode::Output);
         wait_us(RECOVERY_HALF_PERIOD_US);
-        // Always nine clocks, because a high SDA may be a one of the byte. The sensor then misses
-        // its acknowledge, and sends no more bytes.
+        // A START as soon as SDA is high: a sensor that was being written to would take the clocks
+        // for a byte of ones. Always nine clocks, because a clone may be in a byte all the same.
+        let mut has_started = false;
         for _ in 0..RECOVERY_CLOCKS {
+            if !has_started && levels().1 {
+                has_started = true;
+                self.drive(SDA, false);
+                wait_us(RECOVERY_HALF_PERIOD_US);
+            }
             self.drive(SCL, false);
+            self.drive(SDA, true);
             wait_us(RECOVERY_HALF_PERIOD_US);
             self.drive(SCL, true);
             wait_us(RECOVERY_HALF_PERIOD_US);
@@ -92,7 +99,7 @@ impl SensorBus {
         wait_us(RECOVERY_HALF_PERIOD_US);
         self.drive(SDA, true);
         wait_us(RECOVERY_HALF_PERIOD_US);
-        let (clock, data) = (self.is_high(SCL), self.is_high(SDA));
+        let (clock, data) = levels();
         // Before the port's reset, which clears a BUSY flag of edges that the port sees here.
         self.set_pin_modes(PinMode::Alternate);
         self.program_port();
@@ -159,10 +166,6 @@ impl SensorBus {
                 w.br(pin).set_bit()
             }
         });
-    }
-
-    fn is_high(&self, pin: u8) -> bool {
-        pins().idr().read().idr(pin).bit()
     }
 
     fn start(&mut self, address: u8, read: bool) -> Result<(), ErrorKind> {
@@ -375,6 +378,13 @@ fn operation_length(operation: &Operation<'_>) -> usize {
 fn wait_us(microseconds: u32) {
     let start = timebase::now();
     while !timebase::elapsed(start, microseconds + 1) {}
+}
+
+/// Returns the levels of SCL and SDA: true if high.
+#[inline(never)]
+pub(super) fn levels() -> (bool, bool) {
+    let levels = pins().idr().read();
+    (levels.idr(SCL).bit(), levels.idr(SDA).bit())
 }
 
 fn port() -> &'static i2c1::RegisterBlock {

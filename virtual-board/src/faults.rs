@@ -448,6 +448,9 @@ pub enum Fault {
     InternalOscillator(f64),
     /// A START of the sensor's bus takes 0.6 µs, and 1.2 µs in a transfer, instead of no time.
     SlowStart,
+    /// After a byte that it did not acknowledge, the port clocks another one at once, instead of
+    /// waiting for STOP for a period of SCL. The manual promises no such time (RM0090, 27.3.7).
+    NoTimeForStop,
     /// The supply is this low for this long, in millivolts. The sensor works down to 2,375.
     Supply(u32, Range<f64>),
     /// The watchdog's oscillator runs at this frequency, Hz, of 17,000 to 47,000 (STM32F405

@@ -72,6 +72,7 @@ impl BusDevices {
                 | Fault::NoCrystal
                 | Fault::InternalOscillator(_)
                 | Fault::SlowStart
+                | Fault::NoTimeForStop
                 | Fault::SlowWatchdog
                 | Fault::WatchdogClock(_)
                 | Fault::ChipRevision(_)

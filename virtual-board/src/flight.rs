@@ -388,11 +388,16 @@ impl Run {
             Fault::ChipRevision(revision) => Some(*revision),
             _ => None,
         });
-        let identity = ChipIdentity {
+        let mut identity = ChipIdentity {
             device: self.board.device_id,
             revision: revision.unwrap_or(ChipIdentity::STM32F405_Y.revision),
         };
+        let is_stm32f405 = identity.device == ChipIdentity::STM32F405_Y.device;
+        if is_stm32f405 && identity.revision == ChipIdentity::STM32F405_A.revision {
+            identity = ChipIdentity::STM32F405_A;
+        }
         let has_slow_starts = self.faults.contains(&Fault::SlowStart);
+        let leaves_no_time_for_stop = self.faults.contains(&Fault::NoTimeForStop);
         let is_watchdog_slow = self.faults.contains(&Fault::SlowWatchdog);
         let sensor = self.sensor();
         let compass = self.compass.take();
@@ -406,6 +411,9 @@ impl Run {
         .map_err(Error::emulator)?;
         if has_slow_starts {
             controller.let_starts_take_time();
+        }
+        if leaves_no_time_for_stop {
+            controller.leave_no_time_for_stop();
         }
         if let Some(hz) = watchdog_hz {
             controller.calibrate_watchdog(hz);

@@ -21,7 +21,8 @@ pub const BUS_PINS: [(BusLine, u8); 2] = [(BusLine::Clock, 8), (BusLine::Data, 9
 /// The alternate function of I2C1 (STM32F405 datasheet, table 9).
 const I2C_FUNCTION: u8 = 4;
 
-/// The rest of a byte that the sensor sends, after its controller has gone away (UM10204, 3.1.16).
+/// The rest of a byte that the sensor sends or receives, after its controller has gone away
+/// (UM10204, 3.1.16).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum LostByte {
     #[default]
@@ -32,12 +33,22 @@ enum LostByte {
     Acknowledge,
     /// Another byte follows after the falling edge of SCL.
     Acknowledged,
+    /// So many bits are left of the byte that the sensor receives.
+    Receiving { left: u8 },
+    /// The sensor has received the byte, and will pull SDA low for the next clock.
+    Received,
+    /// The sensor acknowledges the byte.
+    Accepting,
 }
 
 impl LostByte {
     /// Returns true if the sensor pulls SDA low.
     fn is_low(self) -> bool {
-        matches!(self, Self::Sending { bits, .. } if bits >> 15 == 0)
+        match self {
+            Self::Sending { bits, .. } => bits >> 15 == 0,
+            Self::Accepting => true,
+            _ => false,
+        }
     }
 
     fn clock_falls(self) -> Self {
@@ -48,7 +59,9 @@ impl LostByte {
                 left: left - 1,
             },
             Self::Acknowledged => Self::Sending { bits: 0, left: 8 },
-            Self::Acknowledge | Self::Nothing => self,
+            Self::Received => Self::Accepting,
+            Self::Accepting => Self::Receiving { left: 8 },
+            Self::Acknowledge | Self::Nothing | Self::Receiving { .. } => self,
         }
     }
 
@@ -56,6 +69,8 @@ impl LostByte {
         match self {
             Self::Acknowledge if is_data_high => Self::Nothing,
             Self::Acknowledge => Self::Acknowledged,
+            Self::Receiving { left: 1 } => Self::Received,
+            Self::Receiving { left } => Self::Receiving { left: left - 1 },
             _ => self,
         }
     }
@@ -78,6 +93,9 @@ pub struct Wires {
     levels: [bool; 2],
     /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
     falls_made: [u32; 2],
+    /// Times that the sensor was left in a byte that it receives, and such bytes that it has received
+    /// from clocks that the firmware made by hand.
+    left_and_made: [u32; 2],
     /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made
     /// it with the pins as outputs, or a shorted SDA rose while SCL was high.
     has_stopped: bool,
@@ -181,6 +199,19 @@ impl Wires {
         self.levels[1] &= !self.lost.is_low();
     }
 
+    /// Leaves the sensor at the begin of a byte that it receives.
+    pub fn leave_written(&mut self) {
+        self.lost = LostByte::Receiving { left: 8 };
+        self.left_and_made[0] += 1;
+    }
+
+    /// Times that the sensor was left in a byte that it receives, and such bytes that it has received
+    /// from clocks that the firmware made by hand.
+    #[must_use]
+    pub fn left_and_made(&self) -> [u32; 2] {
+        self.left_and_made
+    }
+
     /// Falling edges of SCL and of SDA that the firmware has made by hand.
     #[must_use]
     pub fn falls_made(&self) -> [u32; 2] {
@@ -211,7 +242,10 @@ impl Wires {
             }
             self.falls_made[1] += u32::from(before[1] && !now[1] && self.driven_low[1]);
             if !before[0] && now[0] {
-                self.lost = self.lost.clock_rises(now[1]);
+                let lost = self.lost.clock_rises(now[1]);
+                let is_new = lost == LostByte::Received && self.lost != lost;
+                self.left_and_made[1] += u32::from(is_new);
+                self.lost = lost;
             }
             if before == now {
                 return;

@@ -78,6 +78,96 @@ fn a_core_that_stalls_when_the_transfer_is_complete_never_shifts_a_burst() {
         failures,
         calm.record.health.last().map(|reading| reading.counters)
     );
+    // A late STOP is no held bus.
+    assert_eq!(samples_of_other_flags(&stalled, &calm), 0);
+}
+
+/// The number of samples whose flags differ from those of the other flight.
+fn samples_of_other_flags(outcome: &Outcome, other: &Outcome) -> usize {
+    assert_eq!(outcome.samples().len(), other.samples().len(), "samples");
+    let pairs = outcome.samples().iter().zip(other.samples());
+    let differing = pairs.filter(|(one, other)| one.snapshot.flags != other.snapshot.flags);
+    differing.count()
+}
+
+#[test]
+fn a_port_that_leaves_no_time_for_stop_costs_no_sample() {
+    let [calm, hasty] = [None, Some(Fault::NoTimeForStop)].map(|fault| {
+        let run = pooled_run().seconds(2.5);
+        let run = fault.into_iter().fold(run, Run::fault);
+        run.run().unwrap()
+    });
+    assert_eq!(hasty.issues, Vec::<String>::new());
+    assert_eq!(samples_of_other_bytes(&hasty), 0, "bytes after the NACK");
+    assert_eq!(samples_of_other_flags(&hasty, &calm), 0);
+    assert_eq!(hasty.summary.missed, 0);
+}
+
+#[test]
+fn a_stall_over_the_deadline_of_a_burst_needs_no_recovery() {
+    let calm = fly(2.2, "");
+    let ends_ns = calm
+        .samples()
+        .iter()
+        .map(|sample| sample.burst.completed_ns);
+    let ends_ns: Vec<u64> = ends_ns.filter(|&end_ns| end_ns > 1_500_000_000).collect();
+    // From 200 us before the end of the transfer to 400 us after it and more: the interrupts of the
+    // transfer and of the alarm are both pending then.
+    let stalls: Vec<String> = (0_u64..)
+        .zip(ends_ns.iter().step_by(30))
+        .map(|(nth, &end_ns)| {
+            let (start_s, stall_us) = ((end_ns - 200_000) as f64 * 1e-9, 560 + 20 * nth);
+            format!("{start_s} {} core-stall", stall_us as f64 * 1e-6)
+        })
+        .collect();
+    assert!(stalls.len() > 20, "up to 960 us: {}", stalls.len());
+    let stalled = fly(2.2, &stalls.join("\n"));
+    assert_eq!(samples_of_other_bytes(&stalled), 0);
+    assert!(!stalled.reports("setting the bus and the sensor up again"));
+}
+
+#[test]
+fn a_late_attitude_delays_no_burst() {
+    let calm = fly(3.0, "");
+    let ends_ns = calm
+        .samples()
+        .iter()
+        .map(|sample| sample.burst.completed_ns);
+    let ends_ns: Vec<u64> = ends_ns.filter(|&end_ns| end_ns > 1_500_000_000).collect();
+    // The stall begins behind the transfer's interrupt. Each length lasts for a round of checks.
+    let stalls: Vec<String> = (0_u64..)
+        .zip(&ends_ns)
+        .map(|(nth, &end_ns)| {
+            let (start_s, stall_us) = ((end_ns + 5_000) as f64 * 1e-9, 400 + nth / 44);
+            format!("{start_s} {} core-stall", stall_us as f64 * 1e-6)
+        })
+        .collect();
+    assert!(stalls.len() > 44 * 30, "up to 430 us: {}", stalls.len());
+    let stalled = fly(3.0, &stalls.join("\n"));
+    assert_eq!(samples_of_other_bytes(&stalled), 0);
+    assert!(!stalled.reports("setting the bus and the sensor up again"));
+    let bytes = |sample: &virtual_board::recorder::Sample| sample.burst.bytes;
+    let repeated = stalled.samples().windows(2);
+    let repeated = repeated.filter(|pair| bytes(&pair[0]) == bytes(&pair[1]));
+    assert_eq!(repeated.count(), 0, "samples of the edge before");
+}
+
+#[test]
+fn a_reset_within_a_write_writes_nothing_to_the_sensor() {
+    // The sensor has acknowledged its address, and takes the next clocks for a byte.
+    let calm = fly(1.6, "");
+    let last = calm.samples().last().expect("a sample");
+    let edge_ns = last.burst.completed_ns - 384_000;
+    let crashes: Vec<String> = (0..12)
+        .map(|nth| {
+            let at_ns = edge_ns + 500_000_000 * nth + 5_000 * nth + 25_000;
+            format!("{} 0 crash", at_ns as f64 * 1e-9)
+        })
+        .collect();
+    let outcome = fly(8.0, &crashes.join("\n"));
+    let [left, made] = outcome.record.bytes_left_and_made;
+    assert!(left > 0, "no crash came in a write");
+    assert_eq!(made, 0);
 }
 
 #[test]
@@ -294,10 +384,10 @@ fn the_prefetch_is_off_on_revision_a_alone() {
 #[test]
 fn the_first_set_up_of_the_pins_makes_no_edge() {
     let outcome = fly(0.5, "");
-    // Nine clocks and a START for each try until the sensor has started, and no edge more.
+    // A START, nine clocks and a START for each try until the sensor has started, and no edge more.
     let [clocks, starts] = outcome.record.falls_by_hand;
     assert!(clocks > 0 && clocks.is_multiple_of(9), "{clocks}");
-    assert_eq!(starts, clocks / 9);
+    assert_eq!(starts, 2 * clocks / 9);
     assert!(!outcome.samples().is_empty());
 }
 

@@ -19,8 +19,7 @@ impl BurstReader {
     /// long, no edge came, or a stale snapshot is due. Returns whether the attitude task has to
     /// publish one.
     pub fn on_alarm(&mut self, timebase: &mut Timebase) -> bool {
-        let has_lost_crystal = clocks::have_fallen_back();
-        if has_lost_crystal {
+        if clocks::have_fallen_back() {
             self.restore_clock();
         }
         if !is_enabled() {
@@ -31,9 +30,8 @@ impl BurstReader {
             self.disable();
             return false;
         }
-        // An edge may have set the alarm anew just after it was due.
-        let may_be_early = has_lost_crystal || self.step != BurstStep::Idle;
-        if may_be_early && !timebase::burst_alarm_is_due() {
+        // An edge, or the end of a burst, may have set the alarm anew just after it was due.
+        if self.mode != Mode::Disabled && !timebase::burst_alarm_is_due() {
             return false;
         }
         if self.step != BurstStep::Idle {

@@ -12,14 +12,21 @@ use crate::board::timebase::{self, Timebase};
 use crate::compass;
 use crate::fault::BurstStep;
 
+/// Latest start of a transaction after an edge, in µs. The longest reads nine bytes of a compass, in
+/// 300 µs. One that overlaps the next edge would delay its burst, and a sensor may answer that with
+/// the registers of the edge before: it renews them only while its bus is idle (register map, 4.17).
+const LATEST_START_US: u32 = 650;
+
 impl BurstReader {
-    /// Handles SPI1, which `request_transaction` in `link.rs` pends. If the bus is free,
-    /// starts the requested transfer with the compass, or else a check of some settings.
+    /// Handles SPI1, which `request_transaction` in `link.rs` pends. If the bus is free, and will be
+    /// at the next edge, starts the requested transfer with the compass, or else a check of some
+    /// settings.
     pub fn on_transaction_request(&mut self) {
         let is_free = self.step == BurstStep::Idle
             && i2c1().sr2().read().busy().bit_is_clear()
             && i2c1().cr1().read().stop().bit_is_clear();
-        if !is_free || !is_enabled() || LINK.is_pause_wanted.load(Ordering::Relaxed) {
+        let is_late = timebase::elapsed(self.captured_at_us as u32, LATEST_START_US);
+        if !is_free || is_late || !is_enabled() || LINK.is_pause_wanted.load(Ordering::Relaxed) {
             return;
         }
         if compass::IS_BUILT_IN && self.start_transfer() {

@@ -71,8 +71,9 @@ const MOST_WITHDRAWN: u8 = 3;
 const STALE_PERIOD_US: u32 = 5_000;
 /// Time from a check to the next burst while the alarm starts the bursts, in µs.
 const POLL_AFTER_CHECK_US: u32 = 300;
-/// Polls of CR1 that take longer than a STOP, of 2.5 µs.
-const STOP_POLLS: u32 = 200;
+/// Longest time from the request of a STOP to its end, in µs: a byte that the port has begun to
+/// clock may come before it.
+const LONGEST_STOP_US: u32 = 30;
 /// Shortest period after the reader is enabled. Zero sends every edge to `on_unexpected_edge`.
 const EXAMINE_EVERY_EDGE_US: u32 = 0;
 
@@ -206,10 +207,9 @@ impl BurstReader {
     /// Waits for the STOP of the last transaction. Edges that return may come at any time, and a
     /// write of CR1 while STOP is pending makes the bit stick (RM0090, 27.6.1).
     fn await_stop(&self) {
-        for _ in 0..STOP_POLLS {
-            if i2c1().cr1().read().stop().bit_is_clear() {
-                break;
-            }
+        let since = timebase::now();
+        while i2c1().cr1().read().stop().bit_is_set() && !timebase::elapsed(since, LONGEST_STOP_US)
+        {
         }
     }
 
@@ -393,8 +393,10 @@ impl BurstReader {
                 _ => {}
             }
             return;
-        } else {
+        } else if status.ovr().bit() {
             BurstFault::Overrun
+        } else {
+            return;
         };
         if self.step != BurstStep::Idle {
             self.fail(fault);

@@ -2,7 +2,12 @@
 
 use stm32f4xx_hal::pac::{I2C1, i2c1};
 
-use super::super::sensor_bus::with_clock;
+use super::super::sensor_bus::{self, with_clock};
+use super::super::timebase;
+
+/// Time that the port itself holds a line low at most, in µs: an acknowledge and the STOP after it,
+/// at 400 kHz, and some for the rising edges.
+const LONGEST_LOW_US: u32 = 8;
 
 /// Enables the interrupts of the port, and disables its DMA requests.
 #[inline(always)]
@@ -33,12 +38,30 @@ pub(super) fn send_stop() {
         .write(|w| w.pe().set_bit().ack().set_bit().stop().set_bit());
 }
 
-/// Returns whether something holds the bus after a burst: its STOP, of 2.5 µs, is still pending.
-/// The sensor may then have lost the clock within the burst, and the bytes after that are false.
-/// Only the attitude task calls this, before it publishes: no other transaction is under way then.
+/// Returns whether something holds the bus after a burst: its STOP is still pending, and a line
+/// stays low. The sensor may then have lost the clock within the burst, and the bytes after that
+/// are false. Only the attitude task calls this, before it publishes: no other transaction is under
+/// way then.
 #[inline(always)]
 pub fn is_bus_held() -> bool {
-    i2c1().cr1().read().stop().bit_is_set()
+    i2c1().cr1().read().stop().bit_is_set() && stays_low()
+}
+
+/// Returns whether SCL or SDA stays low. A late STOP also waits for the byte that the port has begun
+/// to clock; the lines go high within that one.
+#[cold]
+#[inline(never)]
+fn stays_low() -> bool {
+    let since = timebase::now();
+    let mut was_high = (false, false);
+    while was_high != (true, true) {
+        if timebase::elapsed(since, LONGEST_LOW_US) {
+            return true;
+        }
+        let (clock, data) = sensor_bus::levels();
+        was_high = (was_high.0 | clock, was_high.1 | data);
+    }
+    false
 }
 
 pub(super) fn i2c1() -> &'static i2c1::RegisterBlock {

@@ -120,6 +120,10 @@ pub struct WiredI2c {
     was_enabled: bool,
     /// True if a START takes its time: that of the first one, or of a repeated one.
     pub start_takes_time: bool,
+    /// True if the port waits for STOP for a period after a byte that it did not acknowledge.
+    pub waits_for_stop: bool,
+    /// True if a device has acknowledged that it is written to, and waits for the next byte.
+    is_written: bool,
     /// The event at which the START on the lines is over.
     starting: Option<EventId>,
 }
@@ -158,6 +162,8 @@ impl WiredI2c {
             clock_hz: 0,
             was_enabled: false,
             start_takes_time: false,
+            waits_for_stop: true,
+            is_written: false,
             starting: None,
         }
     }
@@ -401,7 +407,12 @@ impl WiredI2c {
         Device::on_event(&mut self.model, event, registers, context);
         if is_last {
             registers.restore(Register::Cr1, acknowledge, before);
-            let due_ns = now_ns + Self::period_ns(registers);
+            let wait_ns = if self.waits_for_stop {
+                Self::period_ns(registers)
+            } else {
+                0
+            };
+            let due_ns = now_ns + wait_ns;
             self.trailing = TrailingByte::Due(context.schedule(VirtualNanos(due_ns)));
         }
     }
@@ -484,6 +495,7 @@ impl Device for WiredI2c {
         self.follow_lines(registers, context);
         self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
+        self.is_written = self.step(registers) == BusStep::Written;
     }
 
     fn on_event(
@@ -508,6 +520,7 @@ impl Device for WiredI2c {
         self.follow_lines(registers, context);
         self.follow_requests(was_controller, registers, context);
         self.refresh_errors(registers, context);
+        self.is_written = self.step(registers) == BusStep::Written;
     }
 
     fn reset(&mut self) {
@@ -568,5 +581,9 @@ impl WiredI2c {
         self.seen = 0;
         self.starting = None;
         self.was_enabled = false;
+        if std::mem::take(&mut self.is_written) {
+            // The device does not see the reset: it waits for the rest of the byte.
+            self.wires.lock().leave_written();
+        }
     }
 }

@@ -112,15 +112,16 @@ pub struct ChipIdentity {
 }
 
 impl ChipIdentity {
-    /// An STM32F405 of revision A.
+    /// An STM32F405 of revision A, which reports the STM32F2's DEV_ID (errata sheet ES0182, "MCU
+    /// device ID is incorrect").
     pub const STM32F405_A: Self = Self {
-        device: 0x413,
+        device: 0x411,
         revision: 0x1000,
     };
     /// An STM32F405 of revision Y.
     pub const STM32F405_Y: Self = Self {
+        device: 0x413,
         revision: 0x100F,
-        ..Self::STM32F405_A
     };
 }
 
@@ -324,6 +325,11 @@ impl Microcontroller {
     /// Makes a START of the sensor's bus take time.
     pub fn let_starts_take_time(&mut self) {
         self.sensor_bus.start_takes_time = true;
+    }
+
+    /// Makes the port of the sensor's bus clock on at once after a byte that it did not acknowledge.
+    pub fn leave_no_time_for_stop(&mut self) {
+        self.sensor_bus.waits_for_stop = false;
     }
 
     /// Garbles what the firmware receives: so many bytes in a million arrive with noise, and so
