@@ -37,8 +37,8 @@ pub(super) enum FieldSlice {
     Propagate(u8),
     /// X by what the tilt filter resets and lets return to its prior.
     Relax,
-    /// Repeats the tilt filter's measurements on a row of X. Index 0: those of the velocity. Index
-    /// n > 0: measurement n − 1, if it is of a parameter.
+    /// Repeats the tilt filter's measurements on a row of X. Index 0: gains, state, and the columns
+    /// of the velocity. Index n > 0: the column of measurement n − 1, if it is of a parameter.
     RepeatOnCross(u8, u8),
     /// Repeats the tilt filter's measurements on a row of O, from this index on (from 0).
     RepeatOnOwn(u8, u8),
@@ -141,8 +141,12 @@ impl Heading {
         FieldSlice::RepeatOnCross(0, 0)
     }
 
-    /// Repeats the tilt filter's measurements on a row of X and O: those of the velocity together
-    /// with index 0, then those of each parameter.
+    /// Repeats the tilt filter's measurements on a row of X, one slice per index.
+    ///
+    /// - Index 0: the gains of all measurements, the state, and the velocity's columns of this row.
+    /// - Index n > 0: the column of measurement n − 1. The first that is of no parameter ends the
+    ///   row. Therefore the queue must hold parameters first, then the velocity
+    ///   (`Kalman::measure`); in another order X would lose the columns of the bias.
     ///
     /// A row needs its own p from before the step, and X·e of the rows above from after it.
     fn repeat_on_cross_row(&mut self, kalman: &Kalman, row: u8, index: u8) -> FieldSlice {

@@ -216,7 +216,8 @@ impl Kalman {
         (DYNAMIC + usize::from(self.last_relaxed), factor)
     }
 
-    /// Returns a measurement of the last covariance step.
+    /// Returns a measurement of the last covariance step: those of parameters come first, then
+    /// those of the velocity.
     pub(in crate::estimator) fn last_step_measurement(
         &self,
         index: usize,
