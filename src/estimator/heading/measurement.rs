@@ -10,7 +10,6 @@
 //! the gains, but no gain moves them.
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
-use super::interval::FieldInterval;
 use super::step::{FieldSlice, share};
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
@@ -335,8 +334,9 @@ impl Heading {
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
-        // The present interval comes after the step.
-        let variance = variance / square(horizontal) + self.interval().unseen_rad2;
+        // The open interval comes after the step.
+        let unseen_rad2 = self.intervals.open(self.open).unseen_rad2;
+        let variance = variance / square(horizontal) + unseen_rad2;
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
             libm::sqrtf(larger(variance, 0.0))
         } else {
@@ -389,12 +389,5 @@ impl Heading {
     /// Returns whether the tilt is certain enough for a valid heading.
     fn is_tilt_known(&self, kalman: &Kalman) -> bool {
         kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad)
-    }
-
-    /// Returns the present interval.
-    #[inline]
-    pub(super) fn interval(&self) -> &FieldInterval {
-        let [first, second] = &self.intervals;
-        if self.present == 0 { first } else { second }
     }
 }

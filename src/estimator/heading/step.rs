@@ -6,7 +6,7 @@
 //!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
 //!    over an interval. The step therefore uses those after the tilt filter's correction δ: it
 //!    moves c by δ, and adds the remaining covariance of e to that of c. The tilt filter corrects
-//!    its attitude some samples after the interval. Until then the present interval has the old
+//!    its attitude some samples after the interval. Until then the open interval has the old
 //!    errors, so its part moves c by δ too: at the end of the step, after the measurement.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
@@ -35,7 +35,8 @@ pub(super) enum FieldSlice {
     Waiting,
     /// X over the interval, from this row on.
     Propagate(u8),
-    /// X by what the tilt filter resets and lets return to its prior.
+    /// Means of the closed interval's readings. Then X by what the tilt filter resets and lets
+    /// return to its prior.
     Relax,
     /// Repeats the tilt filter's measurements on a row of X. Index 0: gains, state, and the columns
     /// of the velocity. Index n > 0: the column of measurement n − 1, if it is of a parameter.
@@ -124,9 +125,12 @@ impl Heading {
         }
     }
 
+    /// Averages the readings of the closed interval. Then repeats on X what the tilt filter has
+    /// reset, or has let return to its prior.
     fn relax(&mut self, kalman: &Kalman) -> FieldSlice {
-        self.late_turn_rad = dot(&self.interval().yaw, kalman.gyroscope_correction());
-        self.closed_mut().average_readings();
+        let yaw = &self.intervals.open(self.open).yaw;
+        self.late_turn_rad = dot(yaw, kalman.gyroscope_correction());
+        self.intervals.closed_mut(self.open).average_readings();
         let (relaxed, factor) = kalman.relaxed();
         self.covariance.scale_cross(relaxed, factor);
         if kalman.is_velocity_reset() {
@@ -213,9 +217,8 @@ impl Heading {
 
     /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
     fn drift(&mut self, kalman: &Kalman, part: u8) -> FieldSlice {
-        let [first, second] = &self.intervals;
-        let closed = if self.present == 0 { second } else { first };
-        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.cross_column);
+        let yaw = &self.intervals.closed(self.open).yaw;
+        let is_more = kalman.add_product(part.into(), yaw, &mut self.cross_column);
         if is_more {
             FieldSlice::Drift(part + 1)
         } else {
@@ -225,10 +228,9 @@ impl Heading {
 
     /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.
     fn project_drift(&mut self) -> FieldSlice {
-        let [first, second] = &self.intervals;
-        let closed = if self.present == 0 { second } else { first };
+        let yaw = &self.intervals.closed(self.open).yaw;
         for (entry, row) in self.own_column.iter_mut().zip(&self.covariance.cross) {
-            *entry = dot(&closed.yaw, gyroscope(row));
+            *entry = dot(yaw, gyroscope(row));
         }
         FieldSlice::RotateField
     }
