@@ -13,13 +13,13 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct FieldInterval {
-    /// Sum of the readings in level axes, µT.
+    /// Sum of the readings in level axes, µT; z of the measurement once averaged.
     pub(super) field_ut: [f32; 3],
-    /// Sum of the rotation matrices at the readings, by rows; W of the measurement once closed.
+    /// Sum of the rotation matrices at the readings, by rows; W of the measurement once averaged.
     pub(super) rotation: [[f32; 3]; 3],
     /// Number of readings.
     pub(super) readings: f32,
-    /// Effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
+    /// ψ, the effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
     pub(super) yaw: [f32; GYROSCOPE],
     /// Length, s.
     pub(super) duration_s: f32,

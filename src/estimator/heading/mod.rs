@@ -9,8 +9,25 @@
 //! - b, the hard iron, in body axes.
 //! - d, a slow local deviation in the level frame: steel in the floor, cables, a table.
 //!
-//! The measurement s = c + d + W·b is linear in all of them. There is no first heading to find and
+//! The measurement z = c + d + W·b is linear in all of them. There is no first heading to find and
 //! no linearisation about one: the filter starts in any attitude, at rest or in motion.
+//!
+//! # Symbols
+//!
+//! | symbol | stands for | in code |
+//! |---|---|---|
+//! | f | the states: c, b and d | `Heading::state` |
+//! | ε | errors of the tilt filter's states; θ of the tilt comes first | `ERROR_STATES` |
+//! | O | the filter's *own* covariance: of f, 9 × 9 | `FieldCovariance::triangle` |
+//! | X | *cross*-covariance: c and b with ε, 6 × 19 | `FieldCovariance::cross` |
+//! | P | the tilt filter's covariance: of ε, 19 × 19 | `kalman/covariance.rs` |
+//! | J | joint covariance of f and ε: O, X and P | – |
+//! | z, W | means of R·m and R: R from body to level axes, m a reading | `field_ut`, `rotation` |
+//! | h | row of an axis of z, over f and ε | `measurement.rs`: `Row` |
+//! | s | variance of an axis's innovation | `1.0 / inverse_variance` |
+//! | ψ | row over ε: yaw over an interval per error of the gyroscope | `FieldInterval::yaw` |
+//! | δ | correction of ε by the tilt filter's step | `gyroscope_correction` |
+//! | e_i, p_i | unit vector of the tilt filter's measurement i; X·e_i before it | `step.rs` |
 //!
 //! # Passive
 //!
@@ -176,13 +193,18 @@ pub struct Heading {
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Scratch of the step. From `FieldSlice::RepeatOnCross` on: gains of the tilt filter's
-    /// measurements. From `FieldSlice::ProjectDrift` on: X·Wᵀ of the drift of yaw. From
-    /// `FieldSlice::Project` on: O·hᵀ of an axis.
-    own_column: [f32; STATES],
-    /// Scratch of the step. From `FieldSlice::Drift` on: P·Wᵀ of the drift of yaw. From
-    /// `FieldSlice::ProjectCross` on: X·hᵀ of an axis.
-    cross_column: CrossRow,
+    /// Scratch of the step, which three of its parts use:
+    ///
+    /// - From `FieldSlice::RepeatOnCross` on: p_i/r_i of a row of X for each measurement i of the
+    ///   tilt filter, the gains.
+    /// - From `FieldSlice::ProjectDrift` on: X·ψᵀ, covariance of c and b with the drift of yaw.
+    /// - From `FieldSlice::Project` on: the entries of J·hᵀ at f, for an axis.
+    own_scratch: [f32; STATES],
+    /// Scratch of the step, which two of its parts use:
+    ///
+    /// - From `FieldSlice::Drift` on: P·ψᵀ, covariance of ε with the drift of yaw.
+    /// - From `FieldSlice::ProjectCross` on: the entries of J·hᵀ at ε, for an axis.
+    cross_scratch: CrossRow,
     /// Sums of the open interval, and of the closed one, whose step is under way.
     intervals: IntervalPair,
     covariance: FieldCovariance,
@@ -223,8 +245,8 @@ impl Heading {
             has_reading: false,
             reading_ut: [0.0; 3],
             reading_age_s: 0.0,
-            cross_column: [0.0; ERROR_STATES],
-            own_column: [0.0; STATES],
+            cross_scratch: [0.0; ERROR_STATES],
+            own_scratch: [0.0; STATES],
             inverse_variance: 0.0,
             motion: 0.0,
             excess: 0.0,
@@ -338,8 +360,8 @@ impl Heading {
         visitor.f32s(&mut self.state);
         self.intervals.visit_state(visitor);
         self.covariance.visit_state(visitor);
-        visitor.f32s(&mut self.cross_column);
-        visitor.f32s(&mut self.own_column);
+        visitor.f32s(&mut self.cross_scratch);
+        visitor.f32s(&mut self.own_scratch);
         for field in [
             &mut self.late_turn_rad,
             &mut self.inverse_variance,
