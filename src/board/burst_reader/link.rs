@@ -15,7 +15,7 @@ use crate::fault::BurstFailure;
 use crate::health::BoardFlags;
 use crate::mpu6050::{Check, Config, Part};
 
-/// Number of checks in a round.
+/// Number of checks of the settings: each round of housekeeping reads one.
 pub(super) const CHECKS: usize = 4;
 
 /// Set-up of the reader for the configured sensor.
