@@ -160,8 +160,8 @@ pub fn flag_sensor_reset() {
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
 }
 
-/// Takes the finding of a check between two bursts: true if a setting was wrong. Only the supervisor
-/// calls this, while the reader is disabled.
+/// Takes the finding of a check between two bursts: true if a setting was wrong. Only the
+/// supervisor calls this, while the reader is disabled.
 pub fn take_wrong_setting() -> bool {
     let is_wrong = LINK.has_wrong_setting.load(Ordering::Relaxed);
     LINK.has_wrong_setting.store(false, Ordering::Relaxed);
