@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use aplomb::compass::{Choice, LONGEST_READ, Outcome, PartId, Session};
 use aplomb::console::command::Command;
 use aplomb::estimator::REVISION;
 use aplomb::health::Flags;
@@ -219,6 +220,33 @@ fn flags_and_chips_are_all_explained() {
     let identities: Vec<String> = chips.iter().map(|row| row[0].clone()).collect();
     let expected = PARTS.iter().map(|part| format!("0x{:02x}", part.who_am_i));
     assert_eq!(identities, expected.collect::<Vec<String>>());
+}
+
+#[test]
+fn the_page_on_headings_has_the_ages_of_readings() {
+    let identities: [(PartId, &[u8], &str); 4] = [
+        (PartId::Ak8963, &[0x48], "AK8963"),
+        (PartId::Qmc5883l, &[0x01, 0xFF], "QMC5883"),
+        (PartId::Qmc5883p, &[0x80], "QMC5883"),
+        (PartId::Hmc5883l, b"H43", "HMC5883L"),
+    ];
+    let page = read("docs/heading.md");
+    for (part, identity, name) in identities {
+        let mut session = Session::new(Choice::Named(part));
+        let mut bytes = [0; LONGEST_READ];
+        bytes[..identity.len()].copy_from_slice(identity);
+        for _ in 0..20 {
+            if session.part().is_none() && session.next_transfer().is_some() {
+                session.finish(&Outcome::Read(&bytes));
+            }
+        }
+        assert_eq!(session.part(), Some(part));
+        let text = format!("{} ms ({name})", f64::from(session.mean_age_us()) / 1e3);
+        assert!(
+            page.contains(&text),
+            "docs/heading.md: the mean age is {text}"
+        );
+    }
 }
 
 #[test]

@@ -147,14 +147,7 @@ fn steps_and_checks_are_those_of_the_driver() {
             registers[usize::from(step.register_address)] = step.value;
             assert_ne!(step.value, 0x80, "a device reset takes 200 ms");
         }
-        assert_eq!(
-            next,
-            if part.has_accelerometer_low_pass {
-                10
-            } else {
-                9
-            }
-        );
+        assert_eq!(next, if part.is_mpu_6500_family { 10 } else { 9 });
         for index in 0..3 {
             let status = aplomb_settings_check(Some(&settings), index, Some(&mut check));
             assert_eq!(status, AplombStatus::Ok);

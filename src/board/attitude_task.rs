@@ -70,7 +70,7 @@ impl AttitudeTask {
     /// Publishes the snapshot of the burst that the reader offers, or a stale one if no sample
     /// comes.
     ///
-    /// `after_publication` gets the burst and its published flags. `compass` gets its rounds, if
+    /// `after_publication` gets the burst and its published flags. `compass` gets its phases, if
     /// there is one. Returns the flags if they have changed.
     #[inline]
     pub fn run(
@@ -141,10 +141,10 @@ impl AttitudeTask {
         if compass::IS_BUILT_IN
             && let Some(compass) = compass
         {
-            let round = compass.round(HOUSEKEEPING_SAMPLES, pipeline, snapshot);
-            self.samples_to_housekeeping = round.samples;
+            let result = compass.run_phase(HOUSEKEEPING_SAMPLES, pipeline, snapshot);
+            self.samples_to_housekeeping = result.samples;
             self.has_heading = compass.has_heading();
-            if !round.is_housekeeping_due {
+            if !result.is_housekeeping_due {
                 return;
             }
         }

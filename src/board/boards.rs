@@ -41,7 +41,8 @@ pub struct Board {
     pub crystal_is_external_clock: bool,
     /// Core clock, in hertz.
     pub core_hz: u32,
-    /// APB1 bus clock, in hertz: the I2C's input. The timers of this bus run at twice the
-    /// frequency.
-    pub peripheral_hz: u32,
+    /// APB1 bus clock, in hertz: whole megahertz, which divide to the 400 kHz of I2C1
+    /// (`sensor_bus.rs`). USART2 divides it to the baud rate (`uart.rs`). TIM5 counts twice the
+    /// frequency (`timebase.rs`).
+    pub apb1_hz: u32,
 }

@@ -34,9 +34,7 @@ pub fn start(rcc: RCC) -> (Rcc, ClockSource) {
         ClockSource::Crystal => Config::hse(BOARD.crystal_hz.Hz()),
         ClockSource::InternalOscillator => Config::hsi(),
     };
-    let config = config
-        .sysclk(BOARD.core_hz.Hz())
-        .pclk1(BOARD.peripheral_hz.Hz());
+    let config = config.sysclk(BOARD.core_hz.Hz()).pclk1(BOARD.apb1_hz.Hz());
     let rcc = rcc.freeze(config);
     #[cfg(feature = "board-stm32f405")]
     stop_prefetch_on_revision_a();

@@ -1,11 +1,12 @@
-//! Compass reader: runs the compass's session in the attitude task, one transfer per cycle.
+//! Compass reader: runs the compass's session in the attitude task, one transfer per slot.
 //!
-//! The attitude task calls [`round`](CompassReader::round) every few samples, after publication. A
-//! cycle has three rounds: request of the transfer, its outcome one sample later, and the
-//! housekeeping of the sensor. Each needs the bus for less than the gap between two bursts.
+//! The attitude task calls [`run_phase`](CompassReader::run_phase) every few samples, after
+//! publication. A slot of [`SLOT_MS`] has three phases: request of the transfer, its outcome one
+//! sample later, and the housekeeping of the sensor. Each needs the bus for less than the gap
+//! between two bursts.
 //!
 //! Another transfer, such as a settings check while polled, may occupy the bus. The transfer then
-//! starts later. The next cycle takes its outcome before it requests another, so the session
+//! starts later. The next slot takes its outcome before it requests another, so the session
 //! always gets an outcome before its next transfer.
 //!
 //! A good reading goes to the heading filter ([`super::heading`]). Its time is that of the
@@ -20,7 +21,7 @@ use super::retained;
 use crate::attitude::{BodyVector, Quaternion};
 use crate::calibration::CompassAlignment;
 use crate::calibration::compass::CompassFitter;
-use crate::compass::{Choice, CompassStatus, Fault, PartId, Session};
+use crate::compass::{Choice, CompassStatus, Fault, PartId, SLOT_MS, Session};
 use crate::estimator::heading::Heading;
 use crate::fault::FaultClass;
 use crate::health::Flags;
@@ -28,7 +29,7 @@ use crate::pipeline::{CompassReading, Pipeline, Snapshot, compass_knowledge};
 use crate::units::MagneticField;
 use heapless::spsc::Producer;
 
-/// Rounds of a cycle, in their order.
+/// Phases of a slot, in their order.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Phase {
     /// Requests the next transfer.
@@ -40,7 +41,7 @@ enum Phase {
 }
 
 impl Phase {
-    /// Returns the next round, and the number of samples until then. A cycle takes 10 ms.
+    /// Returns the next phase, and the number of samples until then.
     const fn next(self) -> (Self, u8) {
         match self {
             Self::Request => (Self::Outcome, 1),
@@ -50,12 +51,26 @@ impl Phase {
     }
 }
 
-/// Work of a round for the attitude task.
+/// The phases of a slot take [`SLOT_MS`] at 1 kHz.
+const _: () = {
+    let (Phase::Outcome, request) = Phase::Request.next() else {
+        panic!("order of the phases");
+    };
+    let (Phase::Housekeeping, outcome) = Phase::Outcome.next() else {
+        panic!("order of the phases");
+    };
+    let (Phase::Request, housekeeping) = Phase::Housekeeping.next() else {
+        panic!("order of the phases");
+    };
+    assert!((request + outcome + housekeeping) as u32 == SLOT_MS);
+};
+
+/// Result of a phase for the attitude task.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Round {
-    /// Samples until the next round.
+pub struct PhaseResult {
+    /// Samples until the next phase.
     pub samples: u8,
-    /// True if it is a round of the sensor's housekeeping.
+    /// True if the phase was that of the sensor's housekeeping.
     pub is_housekeeping_due: bool,
 }
 
@@ -221,21 +236,21 @@ impl CompassReader {
         self.fitter
     }
 
-    /// Performs a round. `housekeeping_samples` is the number of samples between two rounds of
-    /// housekeeping without a compass.
-    pub fn round(
+    /// Performs a phase of the slot. `housekeeping_samples` is the number of samples between two
+    /// rounds of housekeeping without a compass.
+    pub fn run_phase(
         &mut self,
         housekeeping_samples: u8,
         pipeline: &Pipeline,
         snapshot: &Snapshot,
-    ) -> Round {
-        let mut round = Round {
+    ) -> PhaseResult {
+        let mut result = PhaseResult {
             samples: housekeeping_samples,
             is_housekeeping_due: true,
         };
         if self.session.is_idle() {
             self.report_change();
-            return round;
+            return result;
         }
         match self.phase {
             Phase::Request => {
@@ -249,9 +264,9 @@ impl CompassReader {
             Phase::Outcome => self.take_reading(pipeline, snapshot),
             Phase::Housekeeping => {}
         }
-        round.is_housekeeping_due = self.phase == Phase::Housekeeping;
-        (self.phase, round.samples) = self.phase.next();
-        round
+        result.is_housekeeping_due = self.phase == Phase::Housekeeping;
+        (self.phase, result.samples) = self.phase.next();
+        result
     }
 
     #[inline(never)]

@@ -30,7 +30,7 @@ const SCL: u8 = 8;
 const SDA: u8 = 9;
 
 /// Input clock of the port in MHz.
-const CLOCK_MHZ: u8 = (BOARD.peripheral_hz / 1_000_000) as u8;
+const CLOCK_MHZ: u8 = (BOARD.apb1_hz / 1_000_000) as u8;
 
 /// Sets the field of CR2 with the port's input clock (RM0090, 27.6.2). Every write of CR2 needs it.
 pub fn with_clock(w: &mut i2c1::cr2::W) -> &mut i2c1::cr2::W {
@@ -118,12 +118,12 @@ impl SensorBus {
         i2c.cr1().reset();
         i2c.cr2().write(|w| with_clock(w));
         // SCL low:high is 16:9 if that divides to 400 kHz exactly, else 2:1 (RM0090, 27.6.8).
-        let (duty, periods) = if BOARD.peripheral_hz.is_multiple_of(25 * 400_000) {
+        let (duty, periods) = if BOARD.apb1_hz.is_multiple_of(25 * 400_000) {
             (true, 25)
         } else {
             (false, 3)
         };
-        let divider = BOARD.peripheral_hz.div_ceil(periods * 400_000);
+        let divider = BOARD.apb1_hz.div_ceil(periods * 400_000);
         i2c.ccr()
             // SAFETY: the divider is 5 or more, far below 12 bits, for every APB1 clock from 2 to
             // 50 MHz.

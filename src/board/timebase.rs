@@ -51,7 +51,7 @@ impl Timebase {
         clocks::enable(|rcc| {
             rcc.apb1enr().modify(|_, w| w.tim5en().set_bit());
         });
-        let ticks_per_us = 2 * BOARD.peripheral_hz / 1_000_000;
+        let ticks_per_us = 2 * BOARD.apb1_hz / 1_000_000;
         timer
             .psc()
             .write(|w| w.psc().set((ticks_per_us - 1) as u16));

@@ -266,7 +266,7 @@ fn written() -> usize {
 
 fn set_divider(port: &usart1::RegisterBlock, baud: u32) {
     // With 16-fold oversampling the register holds the divider in sixteenths (RM0090, 30.3.4).
-    let divider = (BOARD.peripheral_hz + baud / 2) / baud.max(1);
+    let divider = (BOARD.apb1_hz + baud / 2) / baud.max(1);
     // SAFETY: every 16-bit value is a valid divider.
     port.brr().write(|w| unsafe { w.bits(divider as u16) });
 }

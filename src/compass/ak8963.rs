@@ -7,7 +7,9 @@
 //! measurement (§6.4.3.2). The chip's X is the accelerometer's Y, its Y the accelerometer's X, and
 //! its Z points down the other way (MPU-9250 product specification, §9.1).
 
-use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step, little_endian};
+use super::part::{
+    Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step, little_endian, mean_age_us,
+};
 use crate::attitude::Vector3;
 
 /// Bus address with CAD0 and CAD1 low, as inside the MPU-9250.
@@ -30,6 +32,10 @@ const CNTL1: u8 = 0x0A;
 const POWER_DOWN: u8 = 0x00;
 /// 16 bits, continuous mode 2: 100 Hz.
 const CONTINUOUS_100_HZ: u8 = 0x16;
+/// Period of that mode, µs.
+const PERIOD_US: u32 = 10_000;
+/// Time of a measurement, µs: typical (§5.3.2).
+const MEASUREMENT_US: u32 = 7_200;
 const SELF_TEST_16_BIT: u8 = 0x18;
 const FUSE_ACCESS: u8 = 0x1F;
 /// CNTL2: soft reset (§8.3.7).
@@ -69,7 +75,7 @@ static FACTS: Facts = Facts {
     configuration: &CONFIGURATION,
     setting: (CNTL1, CONTINUOUS_100_HZ),
     reading: READING,
-    mean_age_us: 8_600,
+    mean_age_us: mean_age_us(PERIOD_US, MEASUREMENT_US),
     ut_per_count: UT_PER_COUNT,
     self_test: Some(&SELF_TEST),
 };
@@ -108,7 +114,7 @@ impl Part for Ak8963 {
         [x * tx, y * ty, z * tz]
     }
 
-    fn turn(&self, vector: Vector3) -> Vector3 {
+    fn to_module_axes(&self, vector: Vector3) -> Vector3 {
         Vector3::new(vector.y, vector.x, -vector.z)
     }
 }

@@ -8,16 +8,16 @@ use super::fault::Fault;
 use super::part::{Bytes, LONGEST_READ};
 use super::part_id::PartId;
 use super::self_test::SelfTest;
-use super::session::{Outcome, Session, TURN_MS, Transfer, transfer_of};
+use super::session::{Outcome, SLOT_MS, Session, Transfer, transfer_of};
 use crate::attitude::Vector3;
 
-/// Turns that a search and a configuration take at most.
-const TURNS_TO_START: u32 = 50;
+/// Slots that a search and a configuration take at most.
+const SLOTS_TO_START: u32 = 50;
 
 /// Compass on a bus.
 ///
 /// ```no_run
-/// use aplomb::compass::{Choice, Compass, TURN_MS};
+/// use aplomb::compass::{Choice, Compass, SLOT_MS};
 /// use embedded_hal::delay::DelayNs;
 /// use embedded_hal::i2c::I2c;
 ///
@@ -25,8 +25,8 @@ const TURNS_TO_START: u32 = 50;
 ///     let mut compass = Compass::find(i2c, Choice::Auto, delay)?;
 ///     loop {
 ///         // Between two samples of the IMU; here every 10 ms.
-///         delay.delay_ms(TURN_MS);
-///         if let Some(field_ut) = compass.turn() {
+///         delay.delay_ms(SLOT_MS);
+///         if let Some(field_ut) = compass.run_slot() {
 ///             // Give it to the mount, to the calibration, and to the pipeline.
 ///             let _ = field_ut;
 ///         }
@@ -48,20 +48,20 @@ impl<I2C: I2c> Compass<I2C> {
             i2c,
             session: Session::new(choice),
         };
-        for _ in 0..TURNS_TO_START {
-            compass.turn();
+        for _ in 0..SLOTS_TO_START {
+            compass.run_slot();
             if compass.session.is_running() {
                 break;
             }
-            delay.delay_ms(TURN_MS);
+            delay.delay_ms(SLOT_MS);
         }
         let is_hopeless = compass.session.is_idle();
         (!is_hopeless).then_some(compass)
     }
 
-    /// Performs one turn: at most one transfer. Call it every [`TURN_MS`]. Returns a reading, µT
-    /// along the chip's axes, in each second turn.
-    pub fn turn(&mut self) -> Option<Vector3> {
+    /// Performs the transfer of a slot, one at most. Call it every [`SLOT_MS`]. Returns a reading,
+    /// µT along the chip's axes, in each second slot.
+    pub fn run_slot(&mut self) -> Option<Vector3> {
         let transfer = self.session.next_transfer()?;
         let mut bytes = [0; LONGEST_READ];
         let is_done = perform(&mut self.i2c, transfer, &mut bytes);
@@ -77,7 +77,7 @@ impl<I2C: I2c> Compass<I2C> {
         &self.session
     }
 
-    /// Runs the part's self-test, for about 0.1 s, and configures the part again in the next turns.
+    /// Runs the part's self-test, for about 0.1 s, and configures the part again in the next slots.
     ///
     /// # Errors
     ///
@@ -126,7 +126,7 @@ pub(crate) fn self_test<I2C: I2c>(
         if !perform(i2c, transfer, &mut bytes) {
             return Err(Fault::Lost(part));
         }
-        delay.delay_ms(2 * TURN_MS);
+        delay.delay_ms(2 * SLOT_MS);
     }
     let reading = chip.facts().reading;
     let transfer = Transfer::Read {

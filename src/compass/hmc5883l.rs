@@ -9,7 +9,7 @@
 //!
 //! A clone that is marked DA5883 has the same registers, but its status never shows a measurement.
 
-use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step};
+use super::part::{Bytes, Facts, Part, Registers, SelfTestPlan, Status, Step, mean_age_us};
 
 /// Bus address.
 pub(super) const ADDRESS: u8 = 0x1E;
@@ -17,6 +17,8 @@ pub(super) const ADDRESS: u8 = 0x1E;
 const CONFIG_A: u8 = 0x00;
 /// Mean of eight samples, 75 Hz, no bias.
 const EIGHT_SAMPLES_75_HZ: u8 = 0x78;
+/// Period at that rate, µs, to 0.1 ms. The eight samples are taken to fill it.
+const PERIOD_US: u32 = 13_300;
 /// Mean of eight samples, 75 Hz, positive bias: a field of about 1.1 gauss.
 const POSITIVE_BIAS: u8 = 0x79;
 /// Configuration register B: gain.
@@ -77,7 +79,7 @@ static FACTS: Facts = Facts {
     // Not the gain, because the register after it is the mode.
     setting: (CONFIG_A, EIGHT_SAMPLES_75_HZ),
     reading: READING,
-    mean_age_us: 13_300,
+    mean_age_us: mean_age_us(PERIOD_US, PERIOD_US),
     ut_per_count: UT_PER_COUNT,
     self_test: Some(&SELF_TEST),
 };

@@ -8,7 +8,7 @@
 //! | `driver` | the same over any blocking `embedded-hal` bus, and the self-test |
 //! | `fault` | reasons why there is no reading |
 //!
-//! A [`Session`] asks for one short transfer at a time, at most one per [`TURN_MS`]. The firmware
+//! A [`Session`] asks for one short transfer at a time, at most one per [`SLOT_MS`]. The firmware
 //! performs it between two bursts of the IMU; [`Compass`] performs it on a blocking bus.
 //!
 //! Readings are in µT along the chip's printed axes. Those of an AK8963 are along the axes of the
@@ -49,5 +49,5 @@ pub use fault::Fault;
 pub use part::{Bytes, LONGEST_READ};
 pub use part_id::PartId;
 pub use self_test::SelfTest;
-pub use session::{Outcome, READING_PERIOD_US, Session, TURN_MS, Transfer};
+pub use session::{Outcome, READING_PERIOD_US, SLOT_MS, Session, Transfer};
 pub use status::CompassStatus;

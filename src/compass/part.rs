@@ -23,7 +23,7 @@ impl Registers {
     }
 }
 
-/// Step of a configuration. [`TURN_MS`](super::TURN_MS) pass after each, longer than any part
+/// Step of a configuration. [`SLOT_MS`](super::SLOT_MS) pass after each, longer than any part
 /// needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
@@ -74,7 +74,7 @@ pub(super) struct Facts {
     pub(super) setting: (u8, u8),
     /// Registers of a reading.
     pub(super) reading: Registers,
-    /// Mean age of the field in a reading, µs: half a period of the chip, and half a measurement.
+    /// Mean age of the field in a reading, µs: [`mean_age_us`].
     pub(super) mean_age_us: u32,
     /// Scale of the counts, µT.
     pub(super) ut_per_count: f32,
@@ -98,8 +98,8 @@ pub(super) trait Part: Sync {
         counts.map(f32::from)
     }
 
-    /// Turns a vector from the registers' axes to those of the [module](super).
-    fn turn(&self, vector: Vector3) -> Vector3 {
+    /// Rotates a vector from the registers' axes to those of the [module](super).
+    fn to_module_axes(&self, vector: Vector3) -> Vector3 {
         vector
     }
 
@@ -110,8 +110,14 @@ pub(super) trait Part: Sync {
 
     /// Converts adjusted counts to µT along the axes of the [module](super).
     fn field_ut(&self, [x, y, z]: [f32; 3]) -> Vector3 {
-        self.turn(Vector3::new(x, y, z).scale(self.facts().ut_per_count))
+        self.to_module_axes(Vector3::new(x, y, z).scale(self.facts().ut_per_count))
     }
+}
+
+/// Returns the mean age of the field in a reading, µs: half a period of the chip, because a
+/// reading begins at any time in it, and half a measurement.
+pub(super) const fn mean_age_us(period_us: u32, measurement_us: u32) -> u32 {
+    (period_us + measurement_us) / 2
 }
 
 /// Decodes three little-endian counts.

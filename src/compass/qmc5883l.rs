@@ -5,7 +5,7 @@
 //! Reading a data register clears the data-ready flag. Therefore a reading starts at the status,
 //! and the pointer rolls over from there to the data (ROL_PNT, §9.2.4).
 
-use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian};
+use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian, mean_age_us};
 
 /// Bus address.
 pub(super) const ADDRESS: u8 = 0x0D;
@@ -18,6 +18,8 @@ const STATUS_RESERVED: u8 = !0b111;
 const CONTROL_1: u8 = 0x09;
 /// 512 samples, ±8 gauss, 100 Hz, continuous.
 const CONTINUOUS_100_HZ: u8 = 0x19;
+/// Period at that rate, µs. The samples are taken to fill it.
+const PERIOD_US: u32 = 10_000;
 /// Control register 2: soft reset, roll-over of the pointer, interrupt off.
 const CONTROL_2: u8 = 0x0A;
 const SOFT_RESET: u8 = 0x80;
@@ -46,7 +48,7 @@ static FACTS: Facts = Facts {
     configuration: &CONFIGURATION,
     setting: (CONTROL_1, CONTINUOUS_100_HZ),
     reading: READING,
-    mean_age_us: 10_000,
+    mean_age_us: mean_age_us(PERIOD_US, PERIOD_US),
     ut_per_count: UT_PER_COUNT,
     self_test: None,
 };

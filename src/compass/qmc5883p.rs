@@ -4,7 +4,7 @@
 //!
 //! Reading the status clears the data-ready flag, so a reading runs from the data to the status.
 
-use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian};
+use super::part::{Bytes, Facts, Part, Registers, Status, Step, little_endian, mean_age_us};
 use super::qmc5883l::status_of;
 
 /// Bus address.
@@ -19,6 +19,8 @@ const STATUS_RESERVED: u8 = !0b11;
 const CONTROL_1: u8 = 0x0A;
 /// Both oversampling ratios 8, 100 Hz, continuous.
 const CONTINUOUS_100_HZ: u8 = 0xCB;
+/// Period at that rate, µs. The samples are taken to fill it.
+const PERIOD_US: u32 = 10_000;
 /// Control register 2: soft reset, range, set and reset.
 const CONTROL_2: u8 = 0x0B;
 const SOFT_RESET: u8 = 0x80;
@@ -45,7 +47,7 @@ static FACTS: Facts = Facts {
     configuration: &CONFIGURATION,
     setting: (CONTROL_1, CONTINUOUS_100_HZ),
     reading: READING,
-    mean_age_us: 10_000,
+    mean_age_us: mean_age_us(PERIOD_US, PERIOD_US),
     ut_per_count: UT_PER_COUNT,
     self_test: None,
 };

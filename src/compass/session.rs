@@ -1,22 +1,22 @@
 //! Session with a compass: search, configuration, readings and supervision, as single transfers.
 //!
-//! The caller performs at most one transfer per turn of [`TURN_MS`], whenever its bus is free, and
+//! The caller performs at most one transfer per slot of [`SLOT_MS`], whenever its bus is free, and
 //! gives the outcome back. Nothing here waits, so a firmware can do it between two bursts.
 //!
 //! ```text
-//! search: one identity per turn -> configuration: one step per turn -> readings: each second turn
+//! search: one identity per slot -> configuration: one step per slot -> readings: each second slot
 //!    ^                                ^                                  |
-//!    +---- lost: three silent turns --|----------------------------------+
+//!    +---- lost: 3 times no answer ---|----------------------------------+
 //!                                     +-- frozen, blank, garbled, never ready, settings lost
 //! ```
 //!
 //! | fault | deadline |
 //! |---|---|
-//! | absent, wrong identity, another part | [`SEARCHES`] passes: 0.16 s after the first turn |
-//! | lost | three silent turns: 60 ms |
+//! | absent, wrong identity, another part | [`SEARCHES`] passes: 0.16 s after the first slot |
+//! | lost | three transfers without an answer: 60 ms |
 //! | holds the bus | at once; it is left alone for 0.1 s, then twice as long each time |
 //! | blank, garbled | three readings: 60 ms |
-//! | settings lost | [`CHECK_TURNS`]: 0.32 s |
+//! | settings lost | [`CHECK_SLOTS`]: 0.32 s |
 //! | never ready, overflow | ten readings: 0.2 s |
 //! | frozen | 25 readings: 0.5 s |
 
@@ -26,21 +26,22 @@ use super::part::{Bytes, Registers, Status, Step};
 use super::part_id::PartId;
 use crate::attitude::Vector3;
 
-/// Time between two turns, ms. Longer than any part needs between two steps of a configuration.
-pub const TURN_MS: u32 = 10;
+/// Length of a slot, ms: the time for one transfer. It is longer than any part needs between two
+/// steps of a configuration.
+pub const SLOT_MS: u32 = 10;
 /// Time between two readings, µs.
-pub const READING_PERIOD_US: u32 = 2 * TURN_MS * 1_000;
+pub const READING_PERIOD_US: u32 = 2 * SLOT_MS * 1_000;
 
 /// Passes of the search through all parts at the start: the slowest part is ready 50 ms after
 /// power-up (HMC5883L). The first pass reads register 0 alone, without which some QMC5883L give no
 /// identity.
 const SEARCHES: u8 = 4;
-/// Turns between two passes of the search for a part that was named or lost.
-const PAUSE_TURNS: u16 = 10;
+/// Slots between two passes of the search for a part that was named or lost.
+const PAUSE_SLOTS: u16 = 10;
 /// Longest pause of a compass that has stopped the bus: 10 s. Each stop doubles the pause.
-const LONGEST_PAUSE_TURNS: u16 = 1_000;
-/// Turns between two looks at the settings.
-const CHECK_TURNS: u8 = 32;
+const LONGEST_PAUSE_SLOTS: u16 = 1_000;
+/// Slots between two checks of the settings.
+const CHECK_SLOTS: u8 = 32;
 /// Bad outcomes in a row that make a fault.
 const FEW: u8 = 3;
 const MANY: u8 = 10;
@@ -96,11 +97,11 @@ enum State {
     /// Asks the parts for their identity, one after the other.
     Searching { index: u8, pass: u8 },
     /// Waits between two passes.
-    Pausing { turns: u16 },
+    Pausing { slots: u16 },
     /// Takes the steps of a configuration.
     Configuring { part: PartId, step: u8, trials: u8 },
     /// Takes readings.
-    Running { part: PartId, turn: u8 },
+    Running { part: PartId, slot: u8 },
 }
 
 /// Session with a compass.
@@ -124,7 +125,7 @@ pub struct Session {
     equal: u8,
     good: u8,
     /// Pause after the next stop of the bus.
-    pause_turns: u16,
+    pause_slots: u16,
 }
 
 impl Session {
@@ -147,19 +148,19 @@ impl Session {
             bad: 0,
             equal: 0,
             good: 0,
-            pause_turns: PAUSE_TURNS,
+            pause_slots: PAUSE_SLOTS,
         }
     }
 
-    /// Returns the transfer of this turn, if there is one. [`finish`](Self::finish) takes its
+    /// Returns the transfer of this slot, if there is one. [`finish`](Self::finish) takes its
     /// outcome.
     #[inline(never)]
     pub fn next_transfer(&mut self) -> Option<Transfer> {
         match &mut self.state {
             State::Idle => None,
-            State::Pausing { turns } => {
-                *turns -= 1;
-                if *turns == 0 {
+            State::Pausing { slots } => {
+                *slots -= 1;
+                if *slots == 0 {
                     self.state = State::Searching {
                         index: self.known.map_or(0, |part| part as u8),
                         pass: 0,
@@ -177,12 +178,12 @@ impl Session {
                 let step = part.part().facts().configuration.get(usize::from(*step))?;
                 Some(transfer_of(*step, part.address()))
             }
-            State::Running { part, turn } => {
-                *turn = (*turn + 1) % CHECK_TURNS;
-                let (address, part, turn) = (part.address(), part.part(), *turn);
-                if turn.is_multiple_of(2) {
+            State::Running { part, slot } => {
+                *slot = (*slot + 1) % CHECK_SLOTS;
+                let (address, part, slot) = (part.address(), part.part(), *slot);
+                if slot.is_multiple_of(2) {
                     Some(read(address, part.facts().reading))
-                } else if turn == 1 {
+                } else if slot == 1 {
                     let (register, _) = part.facts().setting;
                     Some(read(address, Registers::new(register, 2)))
                 } else {
@@ -206,11 +207,11 @@ impl Session {
             State::Configuring { part, step, trials } => {
                 self.finish_step(part, step, trials, outcome);
             }
-            State::Running { part, turn } => {
+            State::Running { part, slot } => {
                 return match outcome {
                     Outcome::Read(bytes) => {
                         self.silent = 0;
-                        if turn.is_multiple_of(2) {
+                        if slot.is_multiple_of(2) {
                             self.take_reading(part, bytes)
                         } else {
                             self.check_setting(part, part.part().facts().setting, bytes);
@@ -221,7 +222,7 @@ impl Session {
                         self.silent += 1;
                         if self.silent >= FEW {
                             self.fault = Some(Fault::Lost(part));
-                            self.state = State::Pausing { turns: PAUSE_TURNS };
+                            self.state = State::Pausing { slots: PAUSE_SLOTS };
                         }
                         None
                     }
@@ -241,7 +242,7 @@ impl Session {
         self.known
     }
 
-    /// Returns the part's name; a clone's name tells so.
+    /// Returns the part's name; a clone's is marked.
     pub const fn name(&self) -> Option<&'static str> {
         match self.known {
             Some(PartId::Hmc5883l) if self.is_clone => Some("HMC5883L/DA5883"),
@@ -286,9 +287,9 @@ impl Session {
     fn finish_hung(&mut self) {
         self.fault = Some(Fault::HoldsBus);
         self.state = State::Pausing {
-            turns: self.pause_turns,
+            slots: self.pause_slots,
         };
-        self.pause_turns = (2 * self.pause_turns).min(LONGEST_PAUSE_TURNS);
+        self.pause_slots = (2 * self.pause_slots).min(LONGEST_PAUSE_SLOTS);
     }
 
     fn finish_search(&mut self, index: u8, pass: u8, outcome: &Outcome<'_>) {
@@ -347,7 +348,7 @@ impl Session {
             };
         }
         if self.known.is_some() {
-            return State::Pausing { turns: PAUSE_TURNS };
+            return State::Pausing { slots: PAUSE_SLOTS };
         }
         let Choice::Named(named) = self.choice else {
             // A board without a compass is no fault. A restart searches again.
@@ -367,7 +368,7 @@ impl Session {
                 _ => Fault::Absent(named),
             },
         });
-        State::Pausing { turns: PAUSE_TURNS }
+        State::Pausing { slots: PAUSE_SLOTS }
     }
 
     /// Configures the part again, if it still has its identity.
@@ -397,7 +398,7 @@ impl Session {
         let steps = part.part().facts().configuration;
         let failed = match (steps.get(usize::from(step)), *outcome) {
             (_, Outcome::NoAnswer) => {
-                self.state = State::Pausing { turns: PAUSE_TURNS };
+                self.state = State::Pausing { slots: PAUSE_SLOTS };
                 self.fault = Some(Fault::Lost(part));
                 return;
             }
@@ -441,7 +442,7 @@ impl Session {
         } else {
             (self.silent, self.unready, self.bad) = (0, 0, 0);
             (self.equal, self.good) = (0, 0);
-            self.state = State::Running { part, turn: 1 };
+            self.state = State::Running { part, slot: 1 };
         }
     }
 
@@ -492,7 +493,7 @@ impl Session {
                 return None;
             }
             self.fault = None;
-            self.pause_turns = PAUSE_TURNS;
+            self.pause_slots = PAUSE_SLOTS;
         }
         let part = id.part();
         Some(part.field_ut(part.adjust(counts, self.trims)))

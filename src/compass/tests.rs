@@ -171,9 +171,9 @@ fn each_part_is_found_and_its_readings_are_microtesla_along_its_axes() {
         let mut compass = find(bus, Choice::Auto).expect("it is there");
         assert_eq!(compass.session().part(), Some(part));
         assert_eq!(compass.session().fault(), None);
-        let turns: Vec<Option<Vector3>> = (0..4).map(|_| compass.turn()).collect();
-        let readings: Vec<Vector3> = turns.iter().copied().flatten().collect();
-        assert_eq!(readings.len(), 2, "each second turn: {turns:?}");
+        let slots: Vec<Option<Vector3>> = (0..4).map(|_| compass.run_slot()).collect();
+        let readings: Vec<Vector3> = slots.iter().copied().flatten().collect();
+        assert_eq!(readings.len(), 2, "each second slot: {slots:?}");
         // Counts 101, −200, 300. 0.15 µT a count and 12.5 % more; 660, 3000, 3750 counts a
         // gauss. The HMC5883L's first two readings are dropped.
         let expected = match part {
@@ -243,7 +243,7 @@ fn a_board_without_a_compass_is_no_fault_and_a_named_one_is() {
         compass.bus_mut().0.insert(address, chip);
         compass
     };
-    let readings = (0..100).filter_map(|_| bus.turn()).count();
+    let readings = (0..100).filter_map(|_| bus.run_slot()).count();
     assert!(readings > 10, "{readings}");
     assert_eq!(bus.session().fault(), None);
 }
@@ -269,7 +269,7 @@ fn a_mislabelled_board_is_named() {
     let bus = Bus::with([Chip::hmc5883l(0, hmc5883l_bytes)]);
     let mut compass = find(bus, Choice::Auto).expect("it is there");
     assert_eq!(compass.session().name(), Some("HMC5883L/DA5883"));
-    assert!((0..2).any(|_| compass.turn().is_some()), "it works");
+    assert!((0..2).any(|_| compass.run_slot().is_some()), "it works");
 }
 
 #[test]
@@ -296,13 +296,13 @@ fn an_unknown_chip_is_named_by_its_identity() {
     assert!(fault.to_string().contains("4c 53 4d"), "{fault}");
 }
 
-/// Readings and the fault in the turns after a change of the chip.
-fn turns(compass: &mut Compass<Bus>, count: usize) -> (usize, Option<Fault>) {
-    let readings = (0..count).filter(|_| compass.turn().is_some()).count();
+/// Readings and the fault in the slots after a change of the chip.
+fn slots(compass: &mut Compass<Bus>, count: usize) -> (usize, Option<Fault>) {
+    let readings = (0..count).filter(|_| compass.run_slot().is_some()).count();
     (readings, compass.session().fault())
 }
 
-/// Each fault shows within its deadline in turns, with no reading after that, and ends.
+/// Each fault shows within its deadline in slots, with no reading after that, and ends.
 #[test]
 fn each_fault_of_the_readings_shows_in_time_and_ends() {
     type Reading = fn(u32) -> Vec<u8>;
@@ -332,15 +332,15 @@ fn each_fault_of_the_readings_shows_in_time_and_ends() {
         (not_ready, Fault::NeverReady, 20),
         (wrong_width, Fault::Garbled, 6),
     ];
-    for (reading, fault, deadline_turns) in cases {
+    for (reading, fault, deadline_slots) in cases {
         let mut compass = find(Bus::with([Chip::ak8963(ak8963_bytes)]), Choice::Auto).unwrap();
-        assert!(turns(&mut compass, 100).0 >= 49);
+        assert!(slots(&mut compass, 100).0 >= 49);
         compass.bus_mut().chip(0x0C).reading = Box::new(reading);
-        let (_, found) = turns(&mut compass, deadline_turns);
+        let (_, found) = slots(&mut compass, deadline_slots);
         assert_eq!(found, Some(fault));
-        assert_eq!(turns(&mut compass, 100), (0, Some(fault)), "it lasts");
+        assert_eq!(slots(&mut compass, 100), (0, Some(fault)), "it lasts");
         compass.bus_mut().chip(0x0C).reading = Box::new(ak8963_bytes);
-        let (readings, found) = turns(&mut compass, 40);
+        let (readings, found) = slots(&mut compass, 40);
         assert!(readings > 0, "{fault:?}");
         assert_eq!(found, None);
     }
@@ -352,15 +352,15 @@ fn a_compass_that_disappears_is_lost_and_found_again() {
         let mut compass = find(bus, Choice::Auto).unwrap();
         let address = part.address();
         compass.bus_mut().chip(address).is_silent = true;
-        assert_eq!(turns(&mut compass, 6), (0, Some(Fault::Lost(part))));
-        assert_eq!(turns(&mut compass, 300), (0, Some(Fault::Lost(part))));
+        assert_eq!(slots(&mut compass, 6), (0, Some(Fault::Lost(part))));
+        assert_eq!(slots(&mut compass, 300), (0, Some(Fault::Lost(part))));
         // Its supply comes back, and its settings are gone.
         let chip = compass.bus_mut().chip(address);
         chip.is_silent = false;
         for register in chip.writable {
             chip.registers.insert(*register, 0);
         }
-        let (readings, fault) = turns(&mut compass, 60);
+        let (readings, fault) = slots(&mut compass, 60);
         assert!(
             readings > 5 && fault.is_none(),
             "{part:?} {readings} {fault:?}"
@@ -379,9 +379,9 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
     let mut compass = find(bus, Choice::Auto).unwrap();
     let mut session = compass.session().clone();
     let mut transfers = Vec::new();
-    for turn in 0..3_000 {
+    for slot in 0..3_000 {
         if session.next_transfer().is_some() {
-            transfers.push(turn);
+            transfers.push(slot);
             assert_eq!(session.finish(&Outcome::Hung), None);
             assert_eq!(session.fault(), Some(Fault::HoldsBus));
         }
@@ -389,7 +389,7 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
     let pauses: Vec<i32> = transfers.windows(2).map(|pair| pair[1] - pair[0]).collect();
     assert!(pauses.starts_with(&[11, 21, 41, 81]), "{pauses:?}");
     assert_eq!(pauses.last(), Some(&1_001), "{pauses:?}");
-    assert!(turns(&mut compass, 4).1.is_none());
+    assert!(slots(&mut compass, 4).1.is_none());
 }
 
 /// A board without a compass is no fault, even if a disturbance has stopped the bus meanwhile.
@@ -419,12 +419,12 @@ fn lost_settings_and_impossible_trims_are_reported() {
             .registers
             .insert(register, 0x55);
         let seen = (0..34).any(|_| {
-            compass.turn();
+            compass.run_slot();
             matches!(compass.session().fault(), Some(Fault::Settings { .. }))
         });
         assert!(seen, "{part:?}");
         assert_eq!(
-            turns(&mut compass, 40).1,
+            slots(&mut compass, 40).1,
             None,
             "{part:?}: configured again"
         );
@@ -519,8 +519,8 @@ fn the_self_test_compares_with_the_datasheets_limits() {
     let test = compass.self_test(&mut NoDelay).expect("it answers");
     assert_eq!(test.has_passed(), Some(false), "{test}");
     assert_eq!(compass.bus_mut().chip(0x1E).registers[&0x00], 0x79);
-    // The next turns configure it again.
-    assert!(turns(&mut compass, 20).0 > 0);
+    // The next slots configure it again.
+    assert!(slots(&mut compass, 20).0 > 0);
     assert_eq!(compass.bus_mut().chip(0x1E).registers[&0x00], 0x78);
     let mut compass = find(Bus::with([Chip::qmc5883l(qmc5883l_bytes)]), Choice::Auto).unwrap();
     assert_eq!(

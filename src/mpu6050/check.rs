@@ -61,7 +61,7 @@ impl Check {
     /// power and clock.
     pub const fn all(config: &Config, part: &Part) -> [Self; 3] {
         let low_pass = config.low_pass.bits();
-        let (own_low_pass, bypass) = if part.has_accelerometer_low_pass {
+        let (own_low_pass, bypass) = if part.is_mpu_6500_family {
             (ACCELEROMETER_LOW_PASS_MASK, GYROSCOPE_BYPASS_MASK)
         } else {
             (0, 0)
@@ -257,7 +257,7 @@ mod tests {
                 [0x00, 0x01, 0x19, 0x18, 0x01],
                 [0x00, 0x01, 0x1A, 0x18, 0x01],
             ] {
-                let expected = part.has_accelerometer_low_pass;
+                let expected = part.is_mpu_6500_family;
                 assert_eq!(is_checked(bytes), expected, "{} {bytes:x?}", part.name);
             }
         }

@@ -1,8 +1,12 @@
 //! Parts: the supported chips, their identities, and their differences.
 //!
-//! All of them share the MPU-6050's data registers, full scales and sensitivities. They differ in
-//! the temperature formula, the accelerometer's own low-pass filter, and the value of PWR_MGMT_1
-//! after a reset.
+//! All of them share the MPU-6050's data registers, full scales and sensitivities. They differ in:
+//!
+//! - the temperature formula;
+//! - the family. Parts of the MPU-6500 family have a low-pass filter of the accelerometer's own,
+//!   the bits FCHOICE_B, and longer delays of both filters;
+//! - the factory trim of the self-test;
+//! - the value of PWR_MGMT_1 after a reset.
 
 use super::config::LowPass;
 
@@ -23,7 +27,7 @@ pub struct Temperature {
 ///
 /// let part = Part::from_who_am_i(0x70).unwrap();
 /// assert_eq!(part.name, "MPU-6500");
-/// assert!(part.has_accelerometer_low_pass);
+/// assert!(part.is_mpu_6500_family);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -34,8 +38,9 @@ pub struct Part {
     pub who_am_i: u8,
     /// Scale of its temperature sensor.
     pub temperature: Temperature,
-    /// True if ACCEL_CONFIG_2 (0x1D) sets the accelerometer's low-pass filter.
-    pub has_accelerometer_low_pass: bool,
+    /// True for the MPU-6500 and its successors. ACCEL_CONFIG_2 (0x1D) sets their accelerometer's
+    /// low-pass filter, GYRO_CONFIG (0x1B) has FCHOICE_B, and the filters have other delays.
+    pub is_mpu_6500_family: bool,
     /// True if SELF_TEST_X to _A (0x0D to 0x10) hold the factory trim of the MPU-6050's self-test.
     pub has_self_test_trim: bool,
     /// Values that PWR_MGMT_1 may have after a reset.
@@ -48,14 +53,14 @@ impl Part {
         name: "MPU-6050",
         who_am_i: 0x68,
         temperature: MPU_6050_TEMPERATURE,
-        has_accelerometer_low_pass: false,
+        is_mpu_6500_family: false,
         has_self_test_trim: true,
         power_after_reset: &[ASLEEP],
     };
 
     /// Returns the gyroscope's delay in this low-pass filter, µs.
     pub const fn gyroscope_delay_us(&self, low_pass: LowPass) -> u16 {
-        if !self.has_accelerometer_low_pass {
+        if !self.is_mpu_6500_family {
             return low_pass.gyroscope_delay_us();
         }
         // MPU-6500 register map r2.1 §4.5, MPU-9250 register map r1.4 §4.5.
@@ -72,7 +77,7 @@ impl Part {
 
     /// Returns the accelerometer's delay in this low-pass filter, µs.
     pub const fn accelerometer_delay_us(&self, low_pass: LowPass) -> u32 {
-        if !self.has_accelerometer_low_pass {
+        if !self.is_mpu_6500_family {
             return low_pass.accelerometer_delay_us() as u32;
         }
         // MPU-6500 register map r2.1 §4.8, MPU-9250 register map r1.4 §4.8.
@@ -120,7 +125,7 @@ pub static PARTS: [Part; 6] = [
         name: "MPU-6500",
         who_am_i: 0x70,
         temperature: MPU_6500_TEMPERATURE,
-        has_accelerometer_low_pass: true,
+        is_mpu_6500_family: true,
         has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
@@ -128,7 +133,7 @@ pub static PARTS: [Part; 6] = [
         name: "MPU-9250",
         who_am_i: 0x71,
         temperature: MPU_6500_TEMPERATURE,
-        has_accelerometer_low_pass: true,
+        is_mpu_6500_family: true,
         has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
@@ -137,7 +142,7 @@ pub static PARTS: [Part; 6] = [
         name: "MPU-6050 clone 0x72",
         who_am_i: 0x72,
         temperature: MPU_6050_TEMPERATURE,
-        has_accelerometer_low_pass: false,
+        is_mpu_6500_family: false,
         has_self_test_trim: true,
         power_after_reset: &[ASLEEP, AWAKE, ASLEEP_BEST_CLOCK],
     },
@@ -145,7 +150,7 @@ pub static PARTS: [Part; 6] = [
         name: "MPU-9255",
         who_am_i: 0x73,
         temperature: MPU_6500_TEMPERATURE,
-        has_accelerometer_low_pass: true,
+        is_mpu_6500_family: true,
         has_self_test_trim: false,
         power_after_reset: &[AWAKE, ASLEEP, ASLEEP_BEST_CLOCK],
     },
@@ -157,7 +162,7 @@ pub static PARTS: [Part; 6] = [
             celsius_per_count: 0.003,
             celsius_at_zero: 25.0,
         },
-        has_accelerometer_low_pass: true,
+        is_mpu_6500_family: true,
         has_self_test_trim: false,
         power_after_reset: &[ASLEEP, ASLEEP_BEST_CLOCK, AWAKE],
     },

@@ -169,7 +169,7 @@ pub struct Steps {
 
 impl Steps {
     const fn new(set: u16, config: &Config, part: &Part) -> Self {
-        let left = if part.has_accelerometer_low_pass {
+        let left = if part.is_mpu_6500_family {
             set & !MPU_6050_ALONE
         } else {
             set & !MPU_6500_ALONE
@@ -246,8 +246,8 @@ mod tests {
         };
         let part = super::super::PARTS
             .iter()
-            .find(|part| part.has_accelerometer_low_pass)
-            .expect("the MPU-6500 has one");
+            .find(|part| part.is_mpu_6500_family)
+            .expect("the MPU-6500 is one");
         let ranges = list(&config, part).split_off(4);
         let expected = [
             (0x19, 4, 0),

@@ -97,7 +97,7 @@ mod app {
     /// telemetry ticks of 10 ms.
     const LOG_BURSTS: usize = 32;
     /// Places for readings of the compass in their queue to the flight log. Seven are in use: the
-    /// readings of 70 ms or more.
+    /// readings of 140 ms.
     const LOG_READINGS: usize = if compass::IS_BUILT_IN { 8 } else { 2 };
     /// Mount if none is stored; set at build time.
     const MOUNT: Mount = match option_env!("APLOMB_MOUNT") {

@@ -9,5 +9,5 @@ pub const BOARD: Board = Board {
     crystal_hz: 25_000_000,
     crystal_is_external_clock: false,
     core_hz: 84_000_000,
-    peripheral_hz: 42_000_000,
+    apb1_hz: 42_000_000,
 };

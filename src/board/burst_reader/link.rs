@@ -15,7 +15,7 @@ use crate::fault::BurstFailure;
 use crate::health::BoardFlags;
 use crate::mpu6050::{Check, Config, Part};
 
-/// Number of checks in a round.
+/// Number of checks of the settings: each round of housekeeping reads one.
 pub(super) const CHECKS: usize = 4;
 
 /// Set-up of the reader for the configured sensor.
@@ -160,8 +160,8 @@ pub fn flag_sensor_reset() {
         .fetch_or(BoardFlags::SENSOR_RESET.bits(), Ordering::Relaxed);
 }
 
-/// Takes the finding of a check between two bursts: true if a setting was wrong. Only the supervisor
-/// calls this, while the reader is disabled.
+/// Takes the finding of a check between two bursts: true if a setting was wrong. Only the
+/// supervisor calls this, while the reader is disabled.
 pub fn take_wrong_setting() -> bool {
     let is_wrong = LINK.has_wrong_setting.load(Ordering::Relaxed);
     LINK.has_wrong_setting.store(false, Ordering::Relaxed);

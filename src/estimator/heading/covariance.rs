@@ -4,6 +4,8 @@
 //! O: 9 × 9, lower triangle by rows      X: 6 × 19, field and hard iron with the error states
 //! ```
 //!
+//! The [module](super) has a table of the symbols.
+//!
 //! The local deviation forgets within seconds, so X leaves out its correlation with the error
 //! states. In 5,000 simulated flights no covariance became indefinite.
 

@@ -13,13 +13,13 @@ use crate::units::STANDARD_GRAVITY_M_S2;
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct FieldInterval {
-    /// Sum of the readings in level axes, µT.
+    /// Sum of the readings in level axes, µT; z of the measurement once averaged.
     pub(super) field_ut: [f32; 3],
-    /// Sum of the rotation matrices at the readings, by rows; W of the measurement once closed.
+    /// Sum of the rotation matrices at the readings, by rows; W of the measurement once averaged.
     pub(super) rotation: [[f32; 3]; 3],
     /// Number of readings.
     pub(super) readings: f32,
-    /// Effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
+    /// ψ, the effect of each gyroscope parameter on yaw: ∫R_down dt, and ∫R_down,j·ω_l dt.
     pub(super) yaw: [f32; GYROSCOPE],
     /// Length, s.
     pub(super) duration_s: f32,
@@ -29,6 +29,52 @@ pub(super) struct FieldInterval {
     pub(super) squared_acceleration: f32,
     /// Yaw variance of unobserved motion, rad².
     pub(super) unseen_rad2: f32,
+}
+
+/// Two intervals: the open one collects sums; the closed one is that of the step under way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub(super) struct IntervalPair([FieldInterval; 2]);
+
+/// `open` is the place of the open interval, 0 or 1.
+impl IntervalPair {
+    /// Two intervals of no length.
+    pub(super) const EMPTY: Self = Self([FieldInterval::EMPTY; 2]);
+
+    /// Returns the open interval.
+    #[inline]
+    pub(super) fn open(&self, open: u8) -> &FieldInterval {
+        let [first, second] = &self.0;
+        if open == 0 { first } else { second }
+    }
+
+    /// Returns the open interval, for changes.
+    #[inline]
+    pub(super) fn open_mut(&mut self, open: u8) -> &mut FieldInterval {
+        let [first, second] = &mut self.0;
+        if open == 0 { first } else { second }
+    }
+
+    /// Returns the closed interval.
+    #[inline]
+    pub(super) fn closed(&self, open: u8) -> &FieldInterval {
+        let [first, second] = &self.0;
+        if open == 0 { second } else { first }
+    }
+
+    /// Returns the closed interval, for changes.
+    #[inline]
+    pub(super) fn closed_mut(&mut self, open: u8) -> &mut FieldInterval {
+        let [first, second] = &mut self.0;
+        if open == 0 { second } else { first }
+    }
+
+    /// Visits both intervals.
+    pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
+        for interval in &mut self.0 {
+            interval.visit_state(visitor);
+        }
+    }
 }
 
 impl FieldInterval {

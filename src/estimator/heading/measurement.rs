@@ -1,16 +1,17 @@
 //! Measurement of a step: the mean field of the interval in level axes.
 //!
 //! ```text
-//! s = c + d + W·b + n      s = mean of R·m      W = mean of R
+//! z = c + d + W·b + n      z = mean of R·m      W = mean of R
 //! ```
 //!
-//! It is linear in field c, hard iron b and local deviation d. A tilt error θ moves s by −θ ×
-//! c. Tilt and all other states of the tilt filter are *considered* (Schmidt, *Application of
-//! State-Space Methods to Navigation Problems*, 1966): their errors widen the innovation and shape
-//! the gains, but no gain moves them.
+//! It is linear in field c, hard iron b and local deviation d; n is noise. A tilt error θ moves z
+//! by −θ × c. Tilt and all other states of the tilt filter are *considered* (Schmidt,
+//! *Application of State-Space Methods to Navigation Problems*, 1966): their errors widen the
+//! innovation and shape the gains, but no gain moves them.
+//!
+//! The [module](super) has a table of the symbols.
 
 use super::covariance::{CORRELATED, DEVIATION, FIELD, IRON, STATES};
-use super::interval::FieldInterval;
 use super::step::{FieldSlice, share};
 use super::{Heading, HeadingEstimate};
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
@@ -98,7 +99,7 @@ impl Heading {
         }
     }
 
-    /// Adds the expected squared innovation of an axis without noise: h·P·hᵀ.
+    /// Adds the expected squared innovation of an axis without noise: h·J·hᵀ.
     pub(super) fn expect(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
@@ -227,31 +228,31 @@ impl Heading {
         FieldSlice::Project(0)
     }
 
-    /// Computes O·hᵀ of an axis, but for the hard iron's part.
+    /// Computes J·hᵀ at f for an axis, but for the hard iron's part.
     pub(super) fn project_own(&mut self, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let [north, east] = self.row(place).tilt;
         let covariance = &self.covariance;
-        self.own_column = [0.0; STATES];
-        for (entry, [to_north, to_east, ..]) in self.own_column.iter_mut().zip(&covariance.cross) {
+        self.own_scratch = [0.0; STATES];
+        for (entry, [to_north, to_east, ..]) in self.own_scratch.iter_mut().zip(&covariance.cross) {
             *entry = north * to_north + east * to_east;
         }
-        covariance.add_column(FIELD + place, 1.0, &mut self.own_column);
-        covariance.add_column(DEVIATION + place, 1.0, &mut self.own_column);
+        covariance.add_column(FIELD + place, 1.0, &mut self.own_scratch);
+        covariance.add_column(DEVIATION + place, 1.0, &mut self.own_scratch);
         FieldSlice::ProjectIron(axis)
     }
 
-    /// Completes O·hᵀ of an axis.
+    /// Completes J·hᵀ at f for an axis.
     pub(super) fn project_iron(&mut self, axis: u8) -> FieldSlice {
         let [wx, wy, wz] = self.row(axis.into()).iron;
         for (state, factor) in [(IRON, wx), (IRON + 1, wy), (IRON + 2, wz)] {
             self.covariance
-                .add_column(state, factor, &mut self.own_column);
+                .add_column(state, factor, &mut self.own_scratch);
         }
         FieldSlice::ProjectCross(axis)
     }
 
-    /// Computes X·hᵀ of an axis, but for the tilt's part.
+    /// Computes J·hᵀ at ε for an axis, but for the tilt's part.
     pub(super) fn project_cross(&mut self, axis: u8) -> FieldSlice {
         let [first, second, third, bx, by, bz] = &self.covariance.cross;
         let field = match axis {
@@ -261,20 +262,20 @@ impl Heading {
         };
         let [wx, wy, wz] = self.row(axis.into()).iron;
         let sources = field.iter().zip(bx).zip(by).zip(bz);
-        for (sum, (((c, x), y), z)) in self.cross_column.iter_mut().zip(sources) {
+        for (sum, (((c, x), y), z)) in self.cross_scratch.iter_mut().zip(sources) {
             *sum = c + wx * x + wy * y + wz * z;
         }
         FieldSlice::CorrectStates(axis)
     }
 
-    /// Completes X·hᵀ of an axis, and corrects the states.
+    /// Completes J·hᵀ at ε for an axis, and corrects the states.
     pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
         let [wx, wy, wz] = row.iron;
-        kalman.add_tilt_columns(row.tilt, &mut self.cross_column);
-        let own = |state: usize| self.own_column.get(state).copied().unwrap_or(0.0);
-        let [to_north, to_east, ..] = self.cross_column;
+        kalman.add_tilt_columns(row.tilt, &mut self.cross_scratch);
+        let own = |state: usize| self.own_scratch.get(state).copied().unwrap_or(0.0);
+        let [to_north, to_east, ..] = self.cross_scratch;
         let variance = own(FIELD + place)
             + own(DEVIATION + place)
             + wx * own(IRON)
@@ -286,13 +287,13 @@ impl Heading {
         self.inverse_variance = 1.0 / variance;
         let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
         let gain = innovation * self.inverse_variance;
-        for (state, entry) in self.state.iter_mut().zip(&self.own_column) {
+        for (state, entry) in self.state.iter_mut().zip(&self.own_scratch) {
             *state += gain * entry;
         }
         FieldSlice::Correct(axis, 0)
     }
 
-    /// Corrects rows of O and X: P ← P − P·hᵀ·h·P/s.
+    /// Corrects rows of O and X: J ← J − J·hᵀ·h·J/s.
     pub(super) fn correct_rows(&mut self, axis: u8, first: u8) -> FieldSlice {
         let start = usize::from(first);
         // The last rows have no row of X.
@@ -301,11 +302,11 @@ impl Heading {
             4..CORRELATED => 1,
             _ => 3,
         };
-        for (row, own) in self.own_column.iter().enumerate().skip(start).take(rows) {
+        for (row, own) in self.own_scratch.iter().enumerate().skip(start).take(rows) {
             let gain = own * self.inverse_variance;
-            self.covariance.subtract(row, gain, &self.own_column);
+            self.covariance.subtract(row, gain, &self.own_scratch);
             self.covariance
-                .subtract_cross(row, gain, &self.cross_column);
+                .subtract_cross(row, gain, &self.cross_scratch);
         }
         if start + rows < STATES {
             FieldSlice::Correct(axis, first + rows as u8)
@@ -335,8 +336,9 @@ impl Heading {
         let variance = square(cy) * covariance.entry(0, 0) + square(cx) * covariance.entry(1, 1)
             - 2.0 * cx * cy * covariance.entry(1, 0);
         let horizontal = square(cx) + square(cy) + 1.0e-3;
-        // The present interval comes after the step.
-        let variance = variance / square(horizontal) + self.interval().unseen_rad2;
+        // The open interval comes after the step.
+        let unseen_rad2 = self.intervals.open(self.open).unseen_rad2;
+        let variance = variance / square(horizontal) + unseen_rad2;
         let sigma_rad = if horizontal > LEAST_HORIZONTAL_UT2 {
             libm::sqrtf(larger(variance, 0.0))
         } else {
@@ -389,12 +391,5 @@ impl Heading {
     /// Returns whether the tilt is certain enough for a valid heading.
     fn is_tilt_known(&self, kalman: &Kalman) -> bool {
         kalman.tilt_variance_rad2() < square(self.tuning.valid_tilt_rad)
-    }
-
-    /// Returns the present interval.
-    #[inline]
-    pub(super) fn interval(&self) -> &FieldInterval {
-        let [first, second] = &self.intervals;
-        if self.present == 0 { first } else { second }
     }
 }

@@ -9,8 +9,25 @@
 //! - b, the hard iron, in body axes.
 //! - d, a slow local deviation in the level frame: steel in the floor, cables, a table.
 //!
-//! The measurement s = c + d + W·b is linear in all of them. There is no first heading to find and
+//! The measurement z = c + d + W·b is linear in all of them. There is no first heading to find and
 //! no linearisation about one: the filter starts in any attitude, at rest or in motion.
+//!
+//! # Symbols
+//!
+//! | symbol | stands for | in code |
+//! |---|---|---|
+//! | f | the states: c, b and d | `Heading::state` |
+//! | ε | errors of the tilt filter's states; θ of the tilt comes first | `ERROR_STATES` |
+//! | O | the filter's *own* covariance: of f, 9 × 9 | `FieldCovariance::triangle` |
+//! | X | *cross*-covariance: c and b with ε, 6 × 19 | `FieldCovariance::cross` |
+//! | P | the tilt filter's covariance: of ε, 19 × 19 | `kalman/covariance.rs` |
+//! | J | joint covariance of f and ε: O, X and P | – |
+//! | z, W | means of R·m and R: R from body to level axes, m a reading | `field_ut`, `rotation` |
+//! | h | row of an axis of z, over f and ε | `measurement.rs`: `Row` |
+//! | s | variance of an axis's innovation | `1.0 / inverse_variance` |
+//! | ψ | row over ε: yaw over an interval per error of the gyroscope | `FieldInterval::yaw` |
+//! | δ | correction of ε by the tilt filter's step | `gyroscope_correction` |
+//! | e_i, p_i | unit vector of the tilt filter's measurement i; X·e_i before it | `step.rs` |
 //!
 //! # Passive
 //!
@@ -81,21 +98,22 @@ use crate::attitude::{Quaternion, Vector3, wrap_pi};
 use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 use covariance::{CrossRow, DEVIATION, FIELD, FieldCovariance, IRON, STATES};
-use interval::FieldInterval;
+use interval::{FieldInterval, IntervalPair};
 use step::FieldSlice;
 
 /// Shortest time between two earth steps that are added, s. Their sums serve the covariance, and
 /// the turn of the field by the tilt filter's corrections.
 const EARTH_PERIOD_S: f32 = 10.0e-3;
-/// Period of the slices, s: a step is complete before the next one is due.
-const SLICE_PERIOD_S: f32 = 1.7e-3;
-/// Sample period from which on slices run beside earth steps, s.
-const LONG_SAMPLE_PERIOD_S: f32 = 1.7e-3;
+/// Period of the slices, s: a step is complete before the next one is due. The tilt filter's slices
+/// have longer periods (`kalman/mod.rs`).
+const FIELD_SLICE_PERIOD_S: f32 = 1.7e-3;
+/// Sample period from which on slices of the field run beside earth steps, s.
+const FIELD_LONG_SAMPLE_PERIOD_S: f32 = 1.7e-3;
 /// Sample period above which a step runs at once, s: the tilt filter's next step may follow with
 /// the next sample.
 const LONGEST_SLICED_S: f32 = 4.0e-3;
 /// Upper limit of the slices per sample: more than a step has.
-const MOST_SLICES: u32 = 160;
+const MOST_FIELD_SLICES: u32 = 160;
 
 /// Heading of the level frame, in which yaw is zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -129,9 +147,9 @@ impl HeadingEstimate {
 pub struct Heading {
     tuning: &'static HeadingTuning,
     next_slice: FieldSlice,
-    /// Place of the present interval.
-    present: u8,
-    /// True if the present interval has an earth step.
+    /// Place of the open interval in `intervals`.
+    open: u8,
+    /// True if the open interval has an earth step.
     has_interval: bool,
     /// True if a reading waits for the next sample.
     has_reading: bool,
@@ -175,15 +193,20 @@ pub struct Heading {
     reading_age_s: f32,
     /// Field, hard iron and local deviation, µT.
     state: [f32; STATES],
-    /// Scratch of the step. From `FieldSlice::RepeatOnCross` on: gains of the tilt filter's
-    /// measurements. From `FieldSlice::ProjectDrift` on: X·Wᵀ of the drift of yaw. From
-    /// `FieldSlice::Project` on: O·hᵀ of an axis.
-    own_column: [f32; STATES],
-    /// Scratch of the step. From `FieldSlice::Drift` on: P·Wᵀ of the drift of yaw. From
-    /// `FieldSlice::ProjectCross` on: X·hᵀ of an axis.
-    cross_column: CrossRow,
-    /// Sums of the present interval, and of the one before, whose step is under way.
-    intervals: [FieldInterval; 2],
+    /// Scratch of the step, which three of its parts use:
+    ///
+    /// - From `FieldSlice::RepeatOnCross` on: p_i/r_i of a row of X for each measurement i of the
+    ///   tilt filter, the gains.
+    /// - From `FieldSlice::ProjectDrift` on: X·ψᵀ, covariance of c and b with the drift of yaw.
+    /// - From `FieldSlice::Project` on: the entries of J·hᵀ at f, for an axis.
+    own_scratch: [f32; STATES],
+    /// Scratch of the step, which two of its parts use:
+    ///
+    /// - From `FieldSlice::Drift` on: P·ψᵀ, covariance of ε with the drift of yaw.
+    /// - From `FieldSlice::ProjectCross` on: the entries of J·hᵀ at ε, for an axis.
+    cross_scratch: CrossRow,
+    /// Sums of the open interval, and of the closed one, whose step is under way.
+    intervals: IntervalPair,
     covariance: FieldCovariance,
     knowledge: CompassKnowledge,
     /// True after the first update that had a reading.
@@ -216,14 +239,14 @@ impl Heading {
             next_slice: FieldSlice::Idle,
             elapsed_s: 0.0,
             late_turn_rad: 0.0,
-            intervals: [FieldInterval::EMPTY; 2],
-            present: 0,
+            intervals: IntervalPair::EMPTY,
+            open: 0,
             has_interval: false,
             has_reading: false,
             reading_ut: [0.0; 3],
             reading_age_s: 0.0,
-            cross_column: [0.0; ERROR_STATES],
-            own_column: [0.0; STATES],
+            cross_scratch: [0.0; ERROR_STATES],
+            own_scratch: [0.0; STATES],
             inverse_variance: 0.0,
             motion: 0.0,
             excess: 0.0,
@@ -325,9 +348,9 @@ impl Heading {
     pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
         self.knowledge.visit_state(visitor);
         self.next_slice.visit_state(visitor);
-        let mut present = usize::from(self.present);
-        visitor.index(&mut present, 2);
-        self.present = present as u8;
+        let mut open = usize::from(self.open);
+        visitor.index(&mut open, 2);
+        self.open = open as u8;
         visitor.bool(&mut self.has_interval);
         visitor.bool(&mut self.has_reading);
         visitor.f32s(&mut self.reading_ut);
@@ -335,12 +358,10 @@ impl Heading {
         visitor.f32(&mut self.declination_rad);
         visitor.f32(&mut self.elapsed_s);
         visitor.f32s(&mut self.state);
-        for interval in &mut self.intervals {
-            interval.visit_state(visitor);
-        }
+        self.intervals.visit_state(visitor);
         self.covariance.visit_state(visitor);
-        visitor.f32s(&mut self.cross_column);
-        visitor.f32s(&mut self.own_column);
+        visitor.f32s(&mut self.cross_scratch);
+        visitor.f32s(&mut self.own_scratch);
         for field in [
             &mut self.late_turn_rad,
             &mut self.inverse_variance,
@@ -454,8 +475,10 @@ impl Heading {
         }
     }
 
-    /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one. Runs
-    /// one slice of a step at most; all that is left if samples are rare or the next step is due.
+    /// Processes the last sample of the tilt filter, `dt_s` seconds after the previous one.
+    ///
+    /// Runs at most one slice of a step at 1 kHz, two at 500 Hz and three at 250 Hz. Runs the whole
+    /// rest of the step below 250 Hz, or if the tilt filter's next step is due.
     #[inline]
     pub fn update(&mut self, kalman: &Kalman, dt_s: f32) {
         if kalman.are_tilt_and_velocity_reset()
@@ -478,7 +501,7 @@ impl Heading {
             self.add_reading(kalman, dt_s);
             // A slice can wait, unless samples are rare, or the step has to end.
             let can_wait = self.next_slice != FieldSlice::Waiting && !kalman.is_step_pending();
-            if dt_s < LONG_SAMPLE_PERIOD_S && can_wait {
+            if dt_s < FIELD_LONG_SAMPLE_PERIOD_S && can_wait {
                 return;
             }
         }
@@ -502,39 +525,25 @@ impl Heading {
         self.has_started = true;
         if kalman.has_tilt() {
             let (field_ut, age_s) = (self.reading_ut, self.reading_age_s + dt_s);
-            self.interval_mut().add_reading(kalman, field_ut, age_s);
+            let interval = self.intervals.open_mut(self.open);
+            interval.add_reading(kalman, field_ut, age_s);
         }
     }
 
-    /// Returns the present interval, for changes.
-    #[inline]
-    fn interval_mut(&mut self) -> &mut FieldInterval {
-        let [first, second] = &mut self.intervals;
-        if self.present == 0 { first } else { second }
-    }
-
-    /// Returns the interval of the step under way.
+    /// Returns the closed interval: that of the step under way.
     #[inline]
     fn closed(&self) -> &FieldInterval {
-        let [first, second] = &self.intervals;
-        if self.present == 0 { second } else { first }
-    }
-
-    /// Returns the interval of the step under way, for changes.
-    #[inline]
-    fn closed_mut(&mut self) -> &mut FieldInterval {
-        let [first, second] = &mut self.intervals;
-        if self.present == 0 { second } else { first }
+        self.intervals.closed(self.open)
     }
 
     #[inline(never)]
     fn add_earth_step(&mut self, kalman: &Kalman, dt_s: f32) {
         let elapsed_s = core::mem::take(&mut self.elapsed_s);
         if !kalman.has_tilt() {
-            *self.interval_mut() = FieldInterval::EMPTY;
+            *self.intervals.open_mut(self.open) = FieldInterval::EMPTY;
             return;
         }
-        let interval = self.interval_mut();
+        let interval = self.intervals.open_mut(self.open);
         interval.add_earth_step(kalman, elapsed_s);
         // A pause, which the tilt filter may already have used.
         let before = interval.unseen_rad2;
@@ -553,11 +562,11 @@ impl Heading {
     #[inline(never)]
     fn run_slices(&mut self, kalman: &Kalman, dt_s: f32, is_earth_step: bool) {
         let slices = if kalman.is_step_pending() || dt_s > LONGEST_SLICED_S {
-            MOST_SLICES
-        } else if is_earth_step && dt_s < LONG_SAMPLE_PERIOD_S {
+            MOST_FIELD_SLICES
+        } else if is_earth_step && dt_s < FIELD_LONG_SAMPLE_PERIOD_S {
             0
         } else {
-            1 + ((dt_s * (1.0 / SLICE_PERIOD_S)) as u32).min(MOST_SLICES)
+            1 + ((dt_s * (1.0 / FIELD_SLICE_PERIOD_S)) as u32).min(MOST_FIELD_SLICES)
         };
         for _ in 0..slices {
             if self.next_slice == FieldSlice::Idle {
@@ -567,12 +576,12 @@ impl Heading {
         }
     }
 
-    /// Ends the present interval: its step follows that of the tilt filter.
+    /// Closes the open interval: its step follows that of the tilt filter.
     #[inline(never)]
     fn end_interval(&mut self) {
         self.has_interval = false;
-        *self.closed_mut() = FieldInterval::EMPTY;
-        self.present ^= 1;
+        *self.intervals.closed_mut(self.open) = FieldInterval::EMPTY;
+        self.open ^= 1;
         self.next_slice = FieldSlice::Waiting;
     }
 
@@ -583,7 +592,7 @@ impl Heading {
     fn reset_with_tilt(&mut self) {
         self.covariance.forget_cross();
         self.reset_field();
-        self.intervals = [FieldInterval::EMPTY; 2];
+        self.intervals = IntervalPair::EMPTY;
         self.has_interval = false;
         self.next_slice = FieldSlice::Idle;
     }

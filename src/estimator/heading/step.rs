@@ -2,14 +2,16 @@
 //! over the same interval.
 //!
 //! 1. *Repeat* the tilt filter's step on the cross-covariance (`kalman/heading_access.rs`).
-//! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors e turn the level frame by W·e
-//!    about down, so the field in it moves by (W·e)·(−c_y, c_x, 0). The errors are constant
-//!    over an interval. The step therefore uses those after the tilt filter's correction δ: it
-//!    moves c by δ, and adds the remaining covariance of e to that of c. The tilt filter corrects
-//!    its attitude some samples after the interval. Until then the present interval has the old
-//!    errors, so its part moves c by δ too: at the end of the step, after the measurement.
+//! 2. *Rotate* the field by the drift of yaw. The gyroscope's errors in ε turn the level frame by
+//!    ψ·ε about down, so the field in it moves by (ψ·ε)·(−c_y, c_x, 0). The errors are
+//!    constant over an interval. The step therefore uses those after the tilt filter's correction
+//!    δ: it moves c by ψ·δ, and adds the remaining covariance of ε to that of c. The tilt
+//!    filter corrects its attitude some samples after the interval. Until then the open interval
+//!    has the old errors, so its ψ·δ moves c too: at the end of the step, after the measurement.
 //! 3. *Forget* the local deviation, and add the process noise.
 //! 4. *Measure*: three rows, each by `measurement.rs`.
+//!
+//! The [module](super) has a table of the symbols.
 
 use super::Heading;
 use super::covariance::{CORRELATED, CrossRow, DEVIATION, FIELD, IRON, STATES};
@@ -35,16 +37,17 @@ pub(super) enum FieldSlice {
     Waiting,
     /// X over the interval, from this row on.
     Propagate(u8),
-    /// X by what the tilt filter resets and lets return to its prior.
+    /// Means of the closed interval's readings. Then X by what the tilt filter resets and lets
+    /// return to its prior.
     Relax,
-    /// Repeats the tilt filter's measurements on a row of X. Index 0: those of the velocity. Index
-    /// n > 0: measurement n − 1, if it is of a parameter.
+    /// Repeats the tilt filter's measurements on a row of X. Index 0: gains, state, and the columns
+    /// of the velocity. Index n > 0: the column of measurement n − 1, if it is of a parameter.
     RepeatOnCross(u8, u8),
     /// Repeats the tilt filter's measurements on a row of O, from this index on (from 0).
     RepeatOnOwn(u8, u8),
-    /// Covariance of the drift of yaw with the error states, from this pair of parameters on.
+    /// P·ψᵀ: covariance of the drift of yaw with ε, from this pair of parameters on.
     Drift(u8),
-    /// Covariance of the drift of yaw with the field states.
+    /// X·ψᵀ: covariance of the drift of yaw with f.
     ProjectDrift,
     /// Field and O by the drift of yaw.
     RotateField,
@@ -60,11 +63,11 @@ pub(super) enum FieldSlice {
     Gate,
     /// The watch over lasting contradictions.
     Watch,
-    /// O·hᵀ of this axis, but for the hard iron.
+    /// J·hᵀ at f for this axis, but for the hard iron.
     Project(u8),
-    /// O·hᵀ of this axis by the hard iron.
+    /// J·hᵀ at f for this axis by the hard iron.
     ProjectIron(u8),
-    /// X·hᵀ of this axis, but for the tilt.
+    /// J·hᵀ at ε for this axis, but for the tilt.
     ProjectCross(u8),
     /// The states by this axis.
     CorrectStates(u8),
@@ -124,9 +127,12 @@ impl Heading {
         }
     }
 
+    /// Averages the readings of the closed interval. Then repeats on X what the tilt filter has
+    /// reset, or has let return to its prior.
     fn relax(&mut self, kalman: &Kalman) -> FieldSlice {
-        self.late_turn_rad = dot(&self.interval().yaw, kalman.gyroscope_correction());
-        self.closed_mut().average_readings();
+        let yaw = &self.intervals.open(self.open).yaw;
+        self.late_turn_rad = dot(yaw, kalman.gyroscope_correction());
+        self.intervals.closed_mut(self.open).average_readings();
         let (relaxed, factor) = kalman.relaxed();
         self.covariance.scale_cross(relaxed, factor);
         if kalman.is_velocity_reset() {
@@ -141,20 +147,25 @@ impl Heading {
         FieldSlice::RepeatOnCross(0, 0)
     }
 
-    /// Repeats the tilt filter's measurements on a row of X and O: those of the velocity together
-    /// with index 0, then those of each parameter.
+    /// Repeats the tilt filter's measurements on a row of X, one slice per index.
     ///
-    /// A row needs its own p from before the step, and X·e of the rows above from after it.
+    /// - Index 0: the gains of all measurements, the state, and the velocity's columns of this row.
+    /// - Index n > 0: the column of measurement n − 1. The first that is of no parameter ends the
+    ///   row. Therefore the queue must hold parameters first, then the velocity
+    ///   (`Kalman::measure`); in another order X would lose the columns of the bias.
+    ///
+    /// A row needs its own p_i from before the step, and X·e_i of the rows above from after it.
     fn repeat_on_cross_row(&mut self, kalman: &Kalman, row: u8, index: u8) -> FieldSlice {
         let place = usize::from(row);
         let Some(entries) = self.covariance.cross.get_mut(place) else {
-            self.cross_column = [0.0; ERROR_STATES];
+            // `drift` adds to it.
+            self.cross_scratch = [0.0; ERROR_STATES];
             return FieldSlice::Drift(0);
         };
         let Some(number) = usize::from(index).checked_sub(1) else {
             let mut change = 0.0;
             let mut velocity = [0.0; 2];
-            for (number, gain) in self.own_column.iter_mut().enumerate().take(MEASUREMENTS) {
+            for (number, gain) in self.own_scratch.iter_mut().enumerate().take(MEASUREMENTS) {
                 let Some(measurement) = kalman.last_step_measurement(number) else {
                     break;
                 };
@@ -175,7 +186,7 @@ impl Heading {
         let parameter = kalman
             .last_step_measurement(number)
             .and_then(TiltMeasurement::parameter);
-        let gain = self.own_column.get(number).copied().unwrap_or(0.0);
+        let gain = self.own_scratch.get(number).copied().unwrap_or(0.0);
         match parameter {
             Some(parameter) => kalman.add_parameter_column(parameter, -gain, entries),
             None => return FieldSlice::RepeatOnOwn(row, 0),
@@ -189,7 +200,7 @@ impl Heading {
         for index in start..start + OWN_MEASUREMENTS {
             let (Some(measurement), Some(gain)) = (
                 kalman.last_step_measurement(index),
-                self.own_column.get(index),
+                self.own_scratch.get(index),
             ) else {
                 return FieldSlice::RepeatOnCross(row + 1, 0);
             };
@@ -207,11 +218,10 @@ impl Heading {
         }
     }
 
-    /// Adds to the covariance of the drift of yaw with the error states: P·Wᵀ.
+    /// Adds to the covariance of the drift of yaw with the error states: P·ψᵀ.
     fn drift(&mut self, kalman: &Kalman, part: u8) -> FieldSlice {
-        let [first, second] = &self.intervals;
-        let closed = if self.present == 0 { second } else { first };
-        let is_more = kalman.add_product(part.into(), &closed.yaw, &mut self.cross_column);
+        let yaw = &self.intervals.closed(self.open).yaw;
+        let is_more = kalman.add_product(part.into(), yaw, &mut self.cross_scratch);
         if is_more {
             FieldSlice::Drift(part + 1)
         } else {
@@ -219,27 +229,27 @@ impl Heading {
         }
     }
 
-    /// Computes the covariance of the drift of yaw with the field states: X·Wᵀ.
+    /// Computes the covariance of the drift of yaw with the field states: X·ψᵀ.
     fn project_drift(&mut self) -> FieldSlice {
-        let [first, second] = &self.intervals;
-        let closed = if self.present == 0 { second } else { first };
-        for (entry, row) in self.own_column.iter_mut().zip(&self.covariance.cross) {
-            *entry = dot(&closed.yaw, gyroscope(row));
+        let yaw = &self.intervals.closed(self.open).yaw;
+        for (entry, row) in self.own_scratch.iter_mut().zip(&self.covariance.cross) {
+            *entry = dot(yaw, gyroscope(row));
         }
         FieldSlice::RotateField
     }
 
     /// Rotates the field by the drift of yaw, and O with it.
     fn rotate_field(&mut self, kalman: &Kalman) -> FieldSlice {
-        let known = dot(&self.closed().yaw, gyroscope(&self.cross_column));
+        let known = dot(&self.closed().yaw, gyroscope(&self.cross_scratch));
         let variance = known + self.yaw_noise_rad2(kalman);
         let [x, y, ..] = self.state;
         let (gx, gy) = (-y, x);
-        let [wx, wy, rest @ ..] = self.own_column;
+        // X·ψᵀ.
+        let [drift_x, drift_y, rest @ ..] = self.own_scratch;
         let covariance = &mut self.covariance;
-        covariance.add(0, 0, 2.0 * gx * wx + square(gx) * variance);
-        covariance.add(1, 0, gy * wx + gx * wy + gx * gy * variance);
-        covariance.add(1, 1, 2.0 * gy * wy + square(gy) * variance);
+        covariance.add(0, 0, 2.0 * gx * drift_x + square(gx) * variance);
+        covariance.add(1, 0, gy * drift_x + gx * drift_y + gx * gy * variance);
+        covariance.add(1, 1, 2.0 * gy * drift_y + square(gy) * variance);
         for (row, entry) in rest.into_iter().enumerate().take(CORRELATED - 2) {
             covariance.add(row + 2, 0, gx * entry);
             covariance.add(row + 2, 1, gy * entry);
@@ -251,8 +261,8 @@ impl Heading {
     fn rotate_cross(&mut self, kalman: &Kalman) -> FieldSlice {
         let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
         let [x, y, ..] = self.state;
-        self.covariance.subtract_cross(0, y, &self.cross_column);
-        self.covariance.subtract_cross(1, -x, &self.cross_column);
+        self.covariance.subtract_cross(0, y, &self.cross_scratch);
+        self.covariance.subtract_cross(1, -x, &self.cross_scratch);
         self.turn_field(turn_rad);
         FieldSlice::Walk
     }

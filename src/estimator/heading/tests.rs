@@ -814,9 +814,9 @@ fn a_step_is_complete_before_the_tilt_filter_begins_its_next() {
                 flight.heading.next_slice,
                 FieldSlice::Idle | FieldSlice::Waiting
             );
-            let before = flight.heading.present;
+            let before = flight.heading.open;
             flight.step(Vector3::new(0.4, 0.1, -0.2));
-            let has_closed = flight.heading.present != before;
+            let has_closed = flight.heading.open != before;
             assert!(!has_closed || was_idle, "{step_us} µs, step {index}");
         }
     }

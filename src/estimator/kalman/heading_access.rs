@@ -4,16 +4,18 @@
 //! this filter. It repeats on the cross-covariance what a covariance step does to the covariance.
 //! It changes nothing here, so the attitude does not depend on it.
 //!
-//! Measurements of a step are repeated after the step, from its result P⁺. With the variances r
-//! of its measurements, and p_i = P_hx·e_i before the step,
+//! Measurements of a step are repeated after the step, from its result P⁺. The heading filter has
+//! the states f and the cross-covariance X; its module has a table of the symbols. Measurement i
+//! has the value z_i, for the state x_i, and the variance r_i. With p_i = X·e_i before the step,
 //!
 //! ```text
-//! P_hx ← P_hx − Σ_i p_i·(P⁺·e_i)ᵀ/r_i
-//! x_h ← x_h + Σ_i p_i·(z_i − x_i − δ_i)/r_i
+//! X ← X − Σ_i p_i·(P⁺·e_i)ᵀ/r_i
+//! f ← f + Σ_i p_i·(z_i − x_i − δ_i)/r_i
 //! ```
 //!
-//! because S⁻¹·H·P = R⁻¹·H·P⁺, and S⁻¹·y = R⁻¹·(y − H·δ) (the gain in
-//! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2).
+//! because S⁻¹·H·P = N⁻¹·H·P⁺, and S⁻¹·y = N⁻¹·(y − H·δ) (the gain in
+//! terms of the covariance afterwards: Gelb, *Applied Optimal Estimation*, 1974, §4.2). There H
+//! has the rows e_iᵀ, N the r_i on its diagonal, S is H·P·Hᵀ + N, and y has the z_i − x_i.
 
 use super::prior::FIRST_WITH_PRIOR;
 use super::propagation::{
@@ -216,7 +218,8 @@ impl Kalman {
         (DYNAMIC + usize::from(self.last_relaxed), factor)
     }
 
-    /// Returns a measurement of the last covariance step.
+    /// Returns a measurement of the last covariance step: those of parameters come first, then
+    /// those of the velocity.
     pub(in crate::estimator) fn last_step_measurement(
         &self,
         index: usize,
@@ -239,8 +242,8 @@ impl Kalman {
 
     /// Returns whether the last velocity measurement was too certain for `f32` correlations.
     ///
-    /// With the variances p before it and p⁺ after it, p⁺/r = 1 − r/(p + r). The error of a
-    /// correlation is then (p/r)²·ε. The limit is p/r = 255.
+    /// With the variances v before it and v⁺ after it, v⁺/r = 1 − r/(v + r). The error of a
+    /// correlation is then (v/r)² times that of an `f32`. The limit is v/r = 255.
     pub(in crate::estimator) fn has_lost_digits(&self) -> bool {
         const LARGEST: f32 = 1.0 - 1.0 / 256.0;
         let variance = self.step.covariance.dynamic_variance(VELOCITY_EAST);

@@ -76,7 +76,11 @@ const LARGEST_WIDENED_RATIO: f32 = 1.5;
 
 impl Kalman {
     /// Adds this step's measurements. The covariance is propagated to the interval's end.
+    ///
+    /// Each branch queues those of parameters first, then those of the velocity: the heading
+    /// filter repeats them, and needs this order (`heading/step.rs`).
     pub(super) fn measure(&mut self) {
+        let before = self.step.measured();
         let duration_s = self.step.duration_s();
         self.recent
             .update(self.nominal.velocity_m_s, duration_s, self.tuning);
@@ -98,6 +102,8 @@ impl Kalman {
                 self.measure_velocity(self.velocity_noise() / duration_s);
             }
         }
+        // A damaged state of an earlier run may hold others before these.
+        debug_assert!(self.step.are_parameters_first(before), "order of the queue");
     }
 
     /// Returns whether the first rest may measure the bias, which is not known yet. The specific

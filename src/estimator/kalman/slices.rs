@@ -135,6 +135,18 @@ impl CovarianceStep {
         self.measurements.get(..self.measured)?.get(index).copied()
     }
 
+    /// Returns the number of measurements of the step.
+    pub(super) fn measured(&self) -> usize {
+        self.measured
+    }
+
+    /// Returns whether the measurements from this index on are those of parameters, then those of
+    /// the velocity.
+    pub(super) fn are_parameters_first(&self, index: usize) -> bool {
+        let queued = self.measurements.get(index..self.measured).unwrap_or(&[]);
+        queued.is_sorted_by_key(|measurement| matches!(measurement.state, State::Dynamic(_)))
+    }
+
     /// Returns the last measurement of the step.
     pub(super) fn last_measurement(&self) -> Option<Measurement> {
         self.measurements.get(..self.measured)?.last().copied()
@@ -187,7 +199,8 @@ impl CovarianceStep {
         self.next_slice = CovarianceSlice::PropagateCross(0);
     }
 
-    /// Queues a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`].
+    /// Queues a measurement at the interval's end. Ignores more than [`MOST_MEASUREMENTS`]. The
+    /// heading filter needs those of parameters before those of the velocity.
     pub(super) fn queue_measurement(&mut self, measurement: Measurement) {
         if let Some(free) = self.measurements.get_mut(self.measured) {
             *free = measurement;

@@ -307,3 +307,45 @@ fn an_abandoned_step_leaves_a_positive_covariance() {
     }
     assert!(cut_short > 20, "{cut_short}");
 }
+
+/// Kinds of the measurements of a step, in the order of the queue.
+fn queue(filter: &Kalman) -> String {
+    let kind = |measurement: Measurement| match measurement.state {
+        State::Parameter(_) => 'p',
+        State::Dynamic(_) => 'v',
+    };
+    (0..)
+        .map_while(|index| filter.step.measurement(index))
+        .map(kind)
+        .collect()
+}
+
+/// The heading filter repeats the columns of the parameters up to the first measurement that is of
+/// no parameter (`heading/step.rs`).
+#[test]
+fn parameters_are_queued_before_the_velocity() {
+    // A rest, which measures the bias; a start in motion, with a bias far outside its prior.
+    for (is_rest, milliseconds, bias_rad_s) in [(true, 3_000, 0.01), (false, 20_000, 0.4)] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        world.bias_rad_s = Vector3::new(bias_rad_s, 0.0, 0.0);
+        let mut estimator = estimator();
+        let (mut hand, mut random) = (Hand::default(), Random(3));
+        let mut queues = std::collections::BTreeSet::new();
+        for _ in 0..milliseconds {
+            if !is_rest {
+                hand.moves(&mut world, &mut random);
+            }
+            world.run(&mut estimator, 1);
+            queues.insert(queue(filter(&estimator)));
+        }
+        assert_eq!(filter(&estimator).has_rested, is_rest);
+        assert!(
+            queues.iter().any(|queue| queue.starts_with('p')),
+            "{queues:?}"
+        );
+        for queue in queues {
+            let rest = queue.trim_start_matches('p').trim_start_matches('v');
+            assert_eq!(rest, "", "{queue}");
+        }
+    }
+}
