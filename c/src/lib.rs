@@ -144,7 +144,7 @@ pub enum AplombStatus {
     WrongGyroscopeMatrix = 14,
     /// The level is no unit quaternion, or tilts by more than 15 degrees.
     WrongLevel = 15,
-    /// The sensor's delay exceeds a second.
+    /// The sensor's delay exceeds a tenth of a second.
     WrongDelay = 16,
     /// The temperature model gives an offset above 41 degrees per second. It is in rad/s.
     WrongTemperatureOffset = 17,
@@ -306,7 +306,7 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the gyroscope's offset exceeds 41 degrees per second: it is in rad/s",
         c"the gyroscope's matrix is more than 0.1 from the identity: set all nine numbers",
         c"the level is no unit quaternion, or tilts by more than 15 degrees",
-        c"the sensor's delay exceeds a second, 1000000 microseconds",
+        c"the sensor's delay exceeds a tenth of a second, 100000 microseconds",
         c"the temperature model gives an offset above 41 degrees per second: it is in rad/s",
         c"the temperature model's reference is not in its range, or that is not in -80 to 135 C",
         c"the time is before that of the last sample: extend a clock of 32 bits",

@@ -1,6 +1,11 @@
 //! Settings of a pipeline: sensor configuration, part, mount and calibration.
 
-use crate::calibration::{AccelerometerCorrection, Calibration, Mount, NoiseModel, SensorSetup};
+use core::fmt;
+
+use crate::calibration::{
+    AccelerometerCorrection, Calibration, ImplausibleCalibration, Mount, NoiseModel, SensorSetup,
+};
+use crate::estimator::LONGEST_DELAY_US;
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
 use crate::health::MonitoredSensor;
 use crate::mpu6050::{Config, Part};
@@ -21,9 +26,10 @@ pub struct Settings {
     /// corrects bursts. It corrects readings in SI units only by
     /// [`Pipeline::calibrated_sample`](super::Pipeline::calibrated_sample).
     pub calibration: Calibration,
-    /// Delay of the sensor in µs: age of a sample's content at the sample's time. Default: `None`,
-    /// the gyroscope's delay in the low-pass filter of `sensor` in `part`, because the time is that
-    /// of the data-ready edge.
+    /// Delay of the sensor in µs: age of a sample's content at the sample's time, up to
+    /// [`LONGEST_DELAY_US`]. Default: `None`, the gyroscope's delay in the low-pass filter of
+    /// `sensor` in `part`, because the time is that of the data-ready edge. A longer delay, such as
+    /// one in ns, is not used, and counts as zero; [`check`](Self::check) reports it.
     pub sensor_delay_us: Option<u32>,
     /// True if the caller reads the sensor's full scales back while
     /// [`Pipeline::awaits_scale_check`](super::Pipeline::awaits_scale_check) is true, and then
@@ -65,6 +71,29 @@ impl Settings {
             calibration: Calibration::NONE,
             sensor_delay_us: None,
             verifies_scales: false,
+        }
+    }
+
+    /// Checks settings that come from outside: the calibration, and the delay.
+    ///
+    /// # Errors
+    ///
+    /// Returns an [`ImplausibleSettings`] if no working sensor has these settings.
+    ///
+    /// ```
+    /// use aplomb::mpu6050::Part;
+    /// use aplomb::pipeline::{ImplausibleSettings, Settings};
+    ///
+    /// let mut settings = Settings::new(&Part::MPU_6050);
+    /// assert_eq!(settings.check(), Ok(()));
+    /// settings.sensor_delay_us = Some(1_900_000); // 1.9 ms in ns
+    /// assert_eq!(settings.check(), Err(ImplausibleSettings::SensorDelay));
+    /// ```
+    pub fn check(&self) -> Result<(), ImplausibleSettings> {
+        (self.calibration.check()).map_err(ImplausibleSettings::Calibration)?;
+        match self.sensor_delay_us {
+            Some(delay_us) if delay_us > LONGEST_DELAY_US => Err(ImplausibleSettings::SensorDelay),
+            _ => Ok(()),
         }
     }
 
@@ -121,15 +150,10 @@ impl Settings {
         }
     }
 
-    /// Returns the delay of the sensor in use, in µs.
+    /// Returns the delay of the sensor, in µs.
     pub(super) fn delay_us(&self) -> u32 {
         let gyroscope_us = self.part.gyroscope_delay_us(self.sensor.low_pass).into();
         self.sensor_delay_us.unwrap_or(gyroscope_us)
-    }
-
-    /// Returns the delay of the sensor in use, in seconds.
-    pub(super) fn delay_s(&self) -> f32 {
-        self.delay_us() as f32 * crate::units::SECONDS_PER_MICROSECOND
     }
 
     /// Visits every field but the gyroscope's matrix, as
@@ -154,9 +178,35 @@ impl Settings {
     }
 }
 
+/// Reason why no working sensor has these settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum ImplausibleSettings {
+    /// No sensor has the calibration.
+    Calibration(ImplausibleCalibration),
+    /// The delay exceeds [`LONGEST_DELAY_US`]. It is in µs.
+    SensorDelay,
+}
+
+impl fmt::Display for ImplausibleSettings {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Calibration(reason) => reason.fmt(formatter),
+            Self::SensorDelay => write!(
+                formatter,
+                "the sensor's delay exceeds {LONGEST_DELAY_US} microseconds: check its unit"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ImplausibleSettings {}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::attitude::Vector3;
 
     #[test]
     fn the_configuration_of_the_sensor_is_in_the_settings() {
@@ -171,7 +221,6 @@ mod tests {
 
     #[test]
     fn every_temperature_that_a_part_reports_is_plausible() {
-        use crate::attitude::Vector3;
         use crate::calibration::TemperatureModel;
         for part in &crate::mpu6050::PARTS {
             for counts in [i16::MIN, i16::MAX] {
@@ -193,10 +242,48 @@ mod tests {
 
     #[test]
     fn the_delay_is_that_of_the_part() {
-        for (who_am_i, delay_us) in [(0x68, 1_900.0), (0x70, 2_900.0), (0x98, 2_900.0)] {
+        for (who_am_i, delay_us) in [(0x68, 1_900), (0x70, 2_900), (0x98, 2_900)] {
             let part = Part::from_who_am_i(who_am_i).unwrap();
-            let delay_s = Settings::new(part).delay_s();
-            assert!((delay_s * 1.0e6 - delay_us).abs() < 0.1, "{}", part.name);
+            assert_eq!(Settings::new(part).delay_us(), delay_us, "{}", part.name);
+        }
+    }
+
+    #[test]
+    fn a_delay_in_another_unit_is_reported_and_not_used() {
+        let mut settings = Settings::new(&Part::MPU_6050);
+        for (delay_us, is_plausible) in [
+            (0, true),
+            (LONGEST_DELAY_US, true),
+            (LONGEST_DELAY_US + 1, false),
+            (1_900_000, false),
+            (u32::MAX, false),
+        ] {
+            settings.sensor_delay_us = Some(delay_us);
+            assert_eq!(settings.check().is_ok(), is_plausible, "{delay_us}");
+        }
+        let error = settings.check().expect_err("a delay of 71 minutes");
+        assert!(error.to_string().contains("100000 microseconds"), "{error}");
+        settings.sensor_delay_us = None;
+        let gravity_m_s2 = Vector3::new(0.0, 0.0, 9.8);
+        settings.calibration.accelerometer = Some(AccelerometerCorrection {
+            offset_m_s2: gravity_m_s2,
+            ..AccelerometerCorrection::NONE
+        });
+        let reason = ImplausibleCalibration::Accelerometer;
+        let error = ImplausibleSettings::Calibration(reason);
+        assert_eq!(settings.check(), Err(error));
+        assert_eq!(error.to_string(), reason.to_string());
+    }
+
+    /// No filter of a part is slower.
+    #[test]
+    fn the_limit_of_the_delay_is_above_that_of_every_part() {
+        for part in &crate::mpu6050::PARTS {
+            for low_pass in crate::mpu6050::LowPass::ALL {
+                let force_us = part.accelerometer_delay_us(low_pass);
+                let rate_us = part.gyroscope_delay_us(low_pass);
+                assert!(force_us.max(rate_us.into()) < LONGEST_DELAY_US);
+            }
         }
     }
 }
