@@ -10,7 +10,8 @@
 //! Yaw starts at zero and is relative. [`heading`] adds the heading from a compass, beside the
 //! default filter.
 //!
-//! Samples in SI units, in body axes (forward, right, down), need nothing else:
+//! A [`Pipeline`](crate::pipeline::Pipeline) adds the checks that an [`Estimator`] lacks. Samples in
+//! SI units, in body axes (forward, right, down), need nothing else:
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -81,6 +82,15 @@ const IMPLAUSIBLE_RATE_RAD_S: f32 = 90.0;
 
 /// Filter with its gate. The attitude stays a finite rotation for any input, and good samples
 /// restore it.
+///
+/// A [`Pipeline`](crate::pipeline::Pipeline) does more, with its
+/// [`update_sample`](crate::pipeline::Pipeline::update_sample) too. The estimator alone
+///
+/// - does not notice frozen data, a stuck axis, or vibration that clips;
+/// - takes a late sample, and then counts the time between twice;
+/// - inflates no σ for spurious full-scale readings or wrong full scales;
+/// - has no `VALID`: check [`Estimate::is_bias_known`], σ and [`Estimate::issues`];
+/// - takes no step for a pause until [`Kalman::set_sample_period`] is called.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Estimator<F = Kalman> {

@@ -8,8 +8,12 @@ use crate::calibration::{
 use crate::estimator::LONGEST_DELAY_US;
 use crate::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
 use crate::health::MonitoredSensor;
-use crate::mpu6050::{Config, Part};
+use crate::mpu6050::{Config, LowPass, Part};
 use crate::serialize::StateVisitor;
+
+/// Share of a period that the clock may be off: 2 %, twice the error of the sensor's clock
+/// (product specification §6.6).
+const CLOCK_TOLERANCE: f32 = 0.02;
 
 /// Settings of a [`Pipeline`](super::Pipeline).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,6 +64,44 @@ impl Settings {
             sensor: *config,
             ..Self::new(part)
         }
+    }
+
+    /// Creates the settings for `rate_hz` samples in SI units a second, 4 to 8,000, of any sensor.
+    /// Each sample is of its time: the delay is zero.
+    ///
+    /// The rate decides which step is a pause, so a lower one than the real rate hides pauses, and
+    /// a higher one makes each step a pause. The full scales are ±16 g and ±2000 °/s; the flag
+    /// `VIBRATION` needs that of the accelerometer, in `sensor`. The part has no effect.
+    ///
+    /// ```
+    /// use aplomb::attitude::Vector3;
+    /// use aplomb::calibration::Mount;
+    /// use aplomb::estimator::Sample;
+    /// use aplomb::health::Flags;
+    /// use aplomb::pipeline::{Pipeline, Settings};
+    ///
+    /// let mut pipeline = Pipeline::new(&Settings::for_samples(200.0));
+    /// let full_scale_rad_s = 2_000_f32.to_radians();
+    /// for index in 0..400 {
+    ///     let (t_us, force_m_s2, rate_rad_s) = (5_000 * index, [0.0, 0.0, 9.81], [0.0; 3]);
+    ///     let body = |vector: [f32; 3]| Mount::Z_UP.to_body(Vector3::from(vector));
+    ///     let mut sample = Sample::new(t_us, body(force_m_s2), body(rate_rad_s));
+    ///     sample.is_rate_saturated = rate_rad_s.iter().any(|rate| rate.abs() >= full_scale_rad_s);
+    ///     let snapshot = pipeline.update_sample(&sample);
+    ///     assert!(index < 390 || snapshot.flags.contains(Flags::VALID));
+    /// }
+    /// ```
+    pub fn for_samples(rate_hz: f32) -> Self {
+        let mut settings = Self::new(&Part::MPU_6050);
+        settings.sensor_delay_us = Some(0);
+        let sensor = &mut settings.sensor;
+        if rate_hz > f32::from(sensor.low_pass.output_rate_hz()) * (1.0 + CLOCK_TOLERANCE) {
+            sensor.low_pass = LowPass::Hertz256;
+        }
+        let periods = f32::from(sensor.low_pass.output_rate_hz()) / rate_hz;
+        // Rounded up: a shorter period would make steps pauses. The cast saturates.
+        sensor.sample_rate_divider = libm::ceilf(periods - CLOCK_TOLERANCE - 1.0) as u8;
+        settings
     }
 
     /// Creates the settings for this part with the default configuration.
@@ -210,7 +252,7 @@ mod tests {
 
     #[test]
     fn the_configuration_of_the_sensor_is_in_the_settings() {
-        let config = Config::DEFAULT.with_low_pass(crate::mpu6050::LowPass::Hertz20);
+        let config = Config::DEFAULT.with_low_pass(LowPass::Hertz20);
         let settings = Settings::for_sensor(&Part::MPU_6050, &config);
         assert_eq!(settings.sensor, config);
         assert_eq!(
@@ -249,7 +291,39 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_in_another_unit_is_reported_and_not_used() {
+    fn samples_of_any_rate_have_no_delay_and_a_period_that_is_no_pause() {
+        for (rate_hz, nominal_hz) in [
+            (4.0, 4.0),
+            (20.0, 20.0),
+            (50.0, 50.0),
+            (99.9, 100.0),
+            (100.1, 100.0),
+            (200.0, 200.0),
+            (333.3, 1000.0 / 3.0),
+            (400.0, 1000.0 / 3.0),
+            (999.0, 1000.0),
+            (1_001.0, 1000.0),
+            (1_600.0, 1600.0),
+            (2_000.0, 2000.0),
+            (3_200.0, 8000.0 / 3.0),
+            (8_000.0, 8000.0),
+            // Out of range: the nearest.
+            (1.0, 1000.0 / 256.0),
+            (0.0, 1000.0 / 256.0),
+            (32_000.0, 8000.0),
+        ] {
+            let settings = Settings::for_samples(rate_hz);
+            assert_eq!(settings.delay_us(), 0);
+            assert_eq!(settings.sensor.sample_rate_hz(), nominal_hz, "{rate_hz}");
+            assert_eq!(settings.check(), Ok(()));
+        }
+        for rate_hz in [f32::NAN, f32::INFINITY, -1.0] {
+            assert!(Settings::for_samples(rate_hz).sensor.sample_rate_hz() >= 1000.0 / 256.0);
+        }
+    }
+
+    #[test]
+    fn a_delay_in_another_unit_is_reported() {
         let mut settings = Settings::new(&Part::MPU_6050);
         for (delay_us, is_plausible) in [
             (0, true),
@@ -279,7 +353,7 @@ mod tests {
     #[test]
     fn the_limit_of_the_delay_is_above_that_of_every_part() {
         for part in &crate::mpu6050::PARTS {
-            for low_pass in crate::mpu6050::LowPass::ALL {
+            for low_pass in LowPass::ALL {
                 let force_us = part.accelerometer_delay_us(low_pass);
                 let rate_us = part.gyroscope_delay_us(low_pass);
                 assert!(force_us.max(rate_us.into()) < LONGEST_DELAY_US);
