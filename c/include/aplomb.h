@@ -304,7 +304,8 @@ typedef struct AplombSnapshot {
   uint64_t t_us;
   // Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
   float attitude[4];
-  // Body rates p, q, r without bias, rad/s.
+  // Body rates p, q, r without bias, rad/s: those of the sample. The attitude is extrapolated to
+  // `t_us`, so the rates are older by the sensor's delay.
   float body_rates_rad_s[3];
   // Right wing down positive, rad.
   float roll_rad;

@@ -235,7 +235,8 @@ pub struct AplombSnapshot {
     pub t_us: u64,
     /// Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
     pub attitude: [f32; 4],
-    /// Body rates p, q, r without bias, rad/s.
+    /// Body rates p, q, r without bias, rad/s: those of the sample. The attitude is extrapolated to
+    /// `t_us`, so the rates are older by the sensor's delay.
     pub body_rates_rad_s: [f32; 3],
     /// Right wing down positive, rad.
     pub roll_rad: f32,
