@@ -6,9 +6,9 @@ use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider, unsigned};
 use library::attitude::Vector3;
 use library::calibration::Mount;
-use library::estimator::{LONGEST_DELAY_US, Sample};
 use library::estimator::heading::CompassKnowledge;
 use library::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
+use library::estimator::{LONGEST_DELAY_US, Sample};
 use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings};
 use library::units::{MagneticField, radians};
@@ -181,7 +181,11 @@ impl Kalman {
     ) -> PyResult<Self> {
         for (name, delay_us, longest_us) in [
             ("sensor_delay_us", sensor_delay_us, LONGEST_DELAY_US),
-            ("compass_delay_us", compass_delay_us, LONGEST_COMPASS_DELAY_US),
+            (
+                "compass_delay_us",
+                compass_delay_us,
+                LONGEST_COMPASS_DELAY_US,
+            ),
         ] {
             if delay_us > longest_us {
                 let reason = format!("{name} has to be {longest_us} at most, in microseconds");
@@ -298,8 +302,9 @@ impl Kalman {
     ///     False skips the checks of units. True (the default) checks them as `read_log` does.
     ///     A recording was checked before.
     ///
-    /// Raises ValueError if the numbers suggest another unit, with what to pass. Warns with
-    /// UserWarning if they may be in another unit, or if the rates do not fit the force.
+    /// Raises ValueError if the numbers suggest another unit or exchanged arrays, with what to pass,
+    /// or if the times mostly decrease. Warns with UserWarning if they may be in another unit, or if
+    /// the rates do not fit the force.
     #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None, check_units=true))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(
