@@ -302,9 +302,9 @@ impl Kalman {
     ///     False skips the checks of units. True (the default) checks them as `read_log` does.
     ///     A recording was checked before.
     ///
-    /// Raises ValueError if the numbers suggest another unit or exchanged arrays, with what to pass,
-    /// or if the times mostly decrease. Warns with UserWarning if they may be in another unit, or if
-    /// the rates do not fit the force.
+    /// Raises ValueError if the numbers suggest another unit or exchanged arrays, with what to
+    /// pass, or if the times mostly decrease. Warns with UserWarning if they may be in another
+    /// unit, or if the rates do not fit the force.
     #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None, check_units=true))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(

@@ -28,8 +28,8 @@ pub(crate) const LARGEST_RATE_RAD_S: f64 = 72.0;
 const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
 /// Median lengths of the specific force, m/s²: gravity within a tenth.
 const GRAVITY_M_S2: RangeInclusive<f64> = 8.8..=10.8;
-/// Largest median length, rad/s, of rates that stand where the force belongs. Faster turns are rare,
-/// and half of gravity is no force.
+/// Largest median length, rad/s, of rates that stand where the force belongs. Faster turns are
+/// rare, and half of gravity is no force.
 const LARGEST_EXCHANGED_RATE_RAD_S: f64 = 4.9;
 /// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who
 /// spins a sensor reaches 14 rad/s.

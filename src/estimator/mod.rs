@@ -10,8 +10,8 @@
 //! Yaw starts at zero and is relative. [`heading`] adds the heading from a compass, beside the
 //! default filter.
 //!
-//! A [`Pipeline`](crate::pipeline::Pipeline) adds the checks that an [`Estimator`] lacks. Samples in
-//! SI units, in body axes (forward, right, down), need nothing else:
+//! A [`Pipeline`](crate::pipeline::Pipeline) adds the checks that an [`Estimator`] lacks. Samples
+//! in SI units, in body axes (forward, right, down), need nothing else:
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -54,8 +54,8 @@ pub const REVISION: u16 = 34;
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
 
-/// Longest delay of a sensor that a filter takes, in µs: 0.1 s. The slowest low-pass filter of a part
-/// delays by 67 ms (MPU-6500 register map r2.1 §4.8).
+/// Longest delay of a sensor that a filter takes, in µs: 0.1 s. The slowest low-pass filter of a
+/// part delays by 67 ms (MPU-6500 register map r2.1 §4.8).
 pub const LONGEST_DELAY_US: u32 = 100_000;
 
 /// Smallest specific force that shows where down is, in m/s²: a quarter of gravity. Below it the

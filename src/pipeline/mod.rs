@@ -303,8 +303,9 @@ impl Pipeline {
 
     /// Continues from an earlier run, whose σ belong to `t_us` on the clock of the bursts, in µs.
     /// Call it before the first burst, which comes later. Returns false, and changes nothing, if
-    /// the state is damaged. After a burst, which it does not check, it replaces attitude and biases
-    /// too. See [`Estimator::resume`], and [`resume_aged`](Self::resume_aged) for an old state.
+    /// the state is damaged. After a burst, which it does not check, it replaces attitude and
+    /// biases too. See [`Estimator::resume`], and [`resume_aged`](Self::resume_aged) for an old
+    /// state.
     pub fn resume(&mut self, start: &WarmStart, t_us: u64) -> bool {
         let [forward, right] = start.accelerometer_bias_m_s2;
         let removed = self.alignment.accelerometer_offset_m_s2();

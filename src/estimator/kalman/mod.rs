@@ -369,8 +369,9 @@ impl Kalman {
         filter
     }
 
-    /// Sets the delay of the sensor, µs: age of a sample's content at the sample's time. The attitude
-    /// is extrapolated by it. A delay above [`LONGEST_DELAY_US`] changes nothing. Default: 0.
+    /// Sets the delay of the sensor, µs: age of a sample's content at the sample's time. The
+    /// attitude is extrapolated by it. A delay above [`LONGEST_DELAY_US`] changes nothing. Default:
+    /// 0.
     pub const fn set_delay_us(&mut self, delay_us: u32) {
         if delay_us <= LONGEST_DELAY_US {
             self.delay_s = delay_us as f32 * SECONDS_PER_MICROSECOND;
