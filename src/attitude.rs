@@ -123,6 +123,38 @@ impl Sub for Vector3 {
     }
 }
 
+impl From<[f32; 3]> for Vector3 {
+    /// Takes the components x, y, z.
+    #[inline]
+    fn from([x, y, z]: [f32; 3]) -> Self {
+        Self::new(x, y, z)
+    }
+}
+
+impl From<Vector3> for [f32; 3] {
+    /// Returns the components x, y, z.
+    #[inline]
+    fn from(vector: Vector3) -> Self {
+        [vector.x, vector.y, vector.z]
+    }
+}
+
+impl From<[f32; 4]> for Quaternion {
+    /// Takes the components w, x, y, z, without normalizing them.
+    #[inline]
+    fn from([w, x, y, z]: [f32; 4]) -> Self {
+        Self::new(w, x, y, z)
+    }
+}
+
+impl From<Quaternion> for [f32; 4] {
+    /// Returns the components w, x, y, z.
+    #[inline]
+    fn from(rotation: Quaternion) -> Self {
+        [rotation.w, rotation.x, rotation.y, rotation.z]
+    }
+}
+
 impl Neg for Vector3 {
     type Output = Self;
 
@@ -530,6 +562,16 @@ mod tests {
     const FORWARD: Vector3 = Vector3::new(1.0, 0.0, 0.0);
     const RIGHT: Vector3 = Vector3::new(0.0, 1.0, 0.0);
     const DOWN: Vector3 = Vector3::new(0.0, 0.0, 1.0);
+
+    #[test]
+    fn arrays_hold_the_components_in_order() {
+        let vector = Vector3::from([1.0, 2.0, 3.0]);
+        assert_eq!(vector, Vector3::new(1.0, 2.0, 3.0));
+        assert_eq!(<[f32; 3]>::from(vector), [1.0, 2.0, 3.0]);
+        let rotation = Quaternion::from([4.0, 1.0, 2.0, 3.0]);
+        assert_eq!((rotation.w, rotation.z), (4.0, 3.0));
+        assert_eq!(<[f32; 4]>::from(rotation), [4.0, 1.0, 2.0, 3.0]);
+    }
 
     #[test]
     fn signs_are_those_of_an_aeroplane() {

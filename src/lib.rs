@@ -16,21 +16,27 @@
 //!
 //! # Samples in SI units, without an MPU-6050
 //!
-//! The [`estimator`] alone needs a time, a specific force and an angular rate in body axes. It
-//! returns the attitude with its σ:
+//! [`Pipeline::update_sample`](pipeline::Pipeline::update_sample) needs a time, a specific force
+//! and an angular rate in body axes. It returns the same snapshot, with its flags. The
+//! [`estimator`] alone lacks [much of that](estimator::Estimator):
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
-//! use aplomb::estimator::{Estimator, Sample};
+//! use aplomb::estimator::Sample;
+//! use aplomb::health::Flags;
+//! use aplomb::pipeline::{Pipeline, Settings};
 //!
 //! # let force_m_s2 = BodyVector::new(0.0, -4.903, -8.493);
 //! # let samples = (0..2_000).map(|n| (1_000 * n, force_m_s2, BodyVector::ZERO));
-//! let mut estimator = Estimator::new();
+//! let mut pipeline = Pipeline::new(&Settings::for_samples(1_000.0)); // samples a second
 //! for (t_us, force_m_s2, rate_rad_s) in samples {
-//!     let estimate = estimator.update(&Sample::new(t_us, force_m_s2, rate_rad_s));
-//!     println!("{:?} ± {} rad", estimate.euler(), estimate.tilt_sigma_rad());
+//!     let snapshot = pipeline.update_sample(&Sample::new(t_us, force_m_s2, rate_rad_s));
+//!     if snapshot.flags.contains(Flags::VALID) {
+//!         println!("{:?} ± {} rad", snapshot.euler(), snapshot.tilt_sigma_rad());
+//!     }
 //! }
-//! # assert!((estimator.estimate().euler().roll_rad.to_degrees() - 30.0).abs() < 0.1);
+//! # let latest = pipeline.stale(2_000_000, Default::default());
+//! # assert!((latest.euler().roll_rad.to_degrees() - 30.0).abs() < 0.1);
 //! ```
 //!
 //! # Programs, features and modules
@@ -44,7 +50,7 @@
 //! |---|---|---|
 //! | none | all modules below but two: `no_std`, no allocation | no HAL, no linker script |
 //! | `mavlink` | `telemetry::mavlink` | the `mavlink` crate |
-//! | `defmt` | `defmt::Format` on the public types | `defmt` |
+//! | `defmt` | `defmt::Format` on public types of data | `defmt` |
 //! | `board-…` | `board` (target only), and the firmware | `stm32f4xx-hal`, RTIC, `defmt` |
 //! | `full` | commands, MAVLink and flight log in the firmware | `mavlink` |
 //! | `compass` | `full`, and a compass and its heading in the firmware | – |

@@ -124,7 +124,7 @@ impl Filter {
     /// Creates the library's Kalman filter with this tuning.
     pub fn with_tuning(tuning: &'static Tuning, delay_us: u32) -> Self {
         let mut filter = Kalman::with_tuning(tuning);
-        filter.set_delay(delay_us as f32 * 1e-6);
+        filter.set_delay_us(delay_us);
         Self {
             variant: Variant::Kalman(Estimator::with_filter(filter)),
             delay_s: 0.0,

@@ -142,7 +142,7 @@ typedef enum AplombStatus {
   APLOMB_STATUS_WRONG_GYROSCOPE_MATRIX = 14,
   // The level is no unit quaternion, or tilts by more than 15 degrees.
   APLOMB_STATUS_WRONG_LEVEL = 15,
-  // The sensor's delay exceeds a second.
+  // The sensor's delay exceeds a tenth of a second.
   APLOMB_STATUS_WRONG_DELAY = 16,
   // The temperature model gives an offset above 41 degrees per second. It is in rad/s.
   APLOMB_STATUS_WRONG_TEMPERATURE_OFFSET = 17,
@@ -265,8 +265,8 @@ typedef struct AplombSettings {
   // Answer of the sensor's register WHO_AM_I, 0x75, which is to be read: 0x68 for an MPU-6050.
   // Delay, temperature and some registers of others differ.
   uint8_t who_am_i;
-  // Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
-  // the low-pass filter.
+  // Age of a sample's content at the sample's time, µs, 100,000 at most. Negative: that of the
+  // low-pass filter.
   int32_t sensor_delay_us;
   // A value of `AplombAccelerometerKnowledge`.
   uint32_t accelerometer_knowledge;
@@ -304,7 +304,8 @@ typedef struct AplombSnapshot {
   uint64_t t_us;
   // Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
   float attitude[4];
-  // Body rates p, q, r without bias, rad/s.
+  // Body rates p, q, r without bias, rad/s: those of the sample. The attitude is extrapolated to
+  // `t_us`, so the rates are older by the sensor's delay.
   float body_rates_rad_s[3];
   // Right wing down positive, rad.
   float roll_rad;

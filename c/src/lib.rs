@@ -144,7 +144,7 @@ pub enum AplombStatus {
     WrongGyroscopeMatrix = 14,
     /// The level is no unit quaternion, or tilts by more than 15 degrees.
     WrongLevel = 15,
-    /// The sensor's delay exceeds a second.
+    /// The sensor's delay exceeds a tenth of a second.
     WrongDelay = 16,
     /// The temperature model gives an offset above 41 degrees per second. It is in rad/s.
     WrongTemperatureOffset = 17,
@@ -235,7 +235,8 @@ pub struct AplombSnapshot {
     pub t_us: u64,
     /// Quaternion w, x, y, z from body (forward, right, down) to earth (north, east, down).
     pub attitude: [f32; 4],
-    /// Body rates p, q, r without bias, rad/s.
+    /// Body rates p, q, r without bias, rad/s: those of the sample. The attitude is extrapolated to
+    /// `t_us`, so the rates are older by the sensor's delay.
     pub body_rates_rad_s: [f32; 3],
     /// Right wing down positive, rad.
     pub roll_rad: f32,
@@ -306,7 +307,7 @@ pub extern "C" fn aplomb_status_text(status: u32) -> *const c_char {
         c"the gyroscope's offset exceeds 41 degrees per second: it is in rad/s",
         c"the gyroscope's matrix is more than 0.1 from the identity: set all nine numbers",
         c"the level is no unit quaternion, or tilts by more than 15 degrees",
-        c"the sensor's delay exceeds a second, 1000000 microseconds",
+        c"the sensor's delay exceeds a tenth of a second, 100000 microseconds",
         c"the temperature model gives an offset above 41 degrees per second: it is in rad/s",
         c"the temperature model's reference is not in its range, or that is not in -80 to 135 C",
         c"the time is before that of the last sample: extend a clock of 32 bits",

@@ -4,6 +4,7 @@ use core::f32::consts::PI;
 use core::ffi::c_char;
 
 use aplomb::calibration::CompassAlignment;
+use aplomb::estimator::LONGEST_DELAY_US;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::{AccelerometerRange, Config, GyroscopeRange, LowPass, Part};
@@ -12,9 +13,6 @@ use aplomb::pipeline::{Settings, compass_knowledge};
 use crate::AplombStatus;
 use crate::mount;
 use crate::record::AplombCalibration;
-
-/// Largest delay, µs: no low-pass filter or bus is slower.
-const LONGEST_DELAY_US: u32 = 1_000_000;
 
 /// Knowledge of the accelerometer's offset.
 #[repr(C)]
@@ -65,8 +63,8 @@ pub struct AplombSettings {
     /// Answer of the sensor's register WHO_AM_I, 0x75, which is to be read: 0x68 for an MPU-6050.
     /// Delay, temperature and some registers of others differ.
     pub who_am_i: u8,
-    /// Age of a sample's content at the sample's time, µs, 1,000,000 at most. Negative: that of
-    /// the low-pass filter.
+    /// Age of a sample's content at the sample's time, µs, 100,000 at most. Negative: that of the
+    /// low-pass filter.
     pub sensor_delay_us: i32,
     /// A value of `AplombAccelerometerKnowledge`.
     pub accelerometer_knowledge: u32,

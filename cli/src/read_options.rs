@@ -4,6 +4,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use aplomb::calibration::{Calibration, CompassCorrection, Mount};
+use aplomb::estimator::LONGEST_DELAY_US;
 use aplomb::estimator::heading::CompassKnowledge;
 use aplomb::estimator::kalman::AccelerometerKnowledge;
 use aplomb::mpu6050::Part;
@@ -23,8 +24,8 @@ use crate::count_options::CountOptions;
 use crate::source::{BurstSource, CompassOptions, FlightSource, LogOptions, LogSource, Source};
 use crate::usage::Usage;
 
-/// Largest delay: no low-pass filter or bus is slower, and no turn lasts longer.
-const LONGEST_DELAY_US: i64 = 1_000_000;
+/// Largest delay of a compass, µs: none is slower.
+const LONGEST_COMPASS_DELAY_US: i64 = 1_000_000;
 
 /// Options for reading a recording.
 #[derive(clap::Args)]
@@ -42,7 +43,7 @@ pub struct ReadOptions {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
+        value_parser = clap::value_parser!(u32).range(..=i64::from(LONGEST_DELAY_US))
     )]
     sensor_delay_us: Option<u32>,
     /// Knowledge of the accelerometer's offset: factory, six-poses, calibrated [default: what the
@@ -64,7 +65,7 @@ pub struct ReadOptions {
     #[arg(
         long,
         value_name = "N",
-        value_parser = clap::value_parser!(u32).range(..=LONGEST_DELAY_US)
+        value_parser = clap::value_parser!(u32).range(..=LONGEST_COMPASS_DELAY_US)
     )]
     compass_delay_us: Option<u32>,
     /// Declination, in degrees, east positive: the heading is then from true north [default: 0]

@@ -874,7 +874,7 @@ fn options_that_do_not_go_together_are_refused() {
         (&input, vec!["--filter", "best"], "axis-kalman"),
         (&input, vec!["--mount", "+x+x"], "+x-z"),
         (&input, vec!["--mount", "Z-UP"], "z-up"),
-        (&input, vec!["--sensor-delay-us", "1000001"], "1000000"),
+        (&input, vec!["--sensor-delay-us", "100001"], "100000"),
         (&input, vec!["--fitler", "kalman"], "--filter"),
         (
             &input,
@@ -928,7 +928,7 @@ fn a_simulated_flight_has_the_error_of_the_librarys_own_filter() {
     let (json, _) = replay("simulated", &log, &options);
     let replayed: serde_json::Value = serde_json::from_str(&json).unwrap();
     let mut estimator = Estimator::new();
-    estimator.filter_mut().set_delay(1900e-6);
+    estimator.filter_mut().set_delay_us(1_900);
     let mut errors = Errors::default();
     for simulated in samples(Box::new(Quadrotor::by_seed(1_000)), 1_000, 60) {
         let raw = simulated.raw;

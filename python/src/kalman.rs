@@ -6,9 +6,9 @@ use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider, unsigned};
 use library::attitude::Vector3;
 use library::calibration::Mount;
-use library::estimator::Sample;
 use library::estimator::heading::CompassKnowledge;
 use library::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge};
+use library::estimator::{LONGEST_DELAY_US, Sample};
 use library::mpu6050::Part;
 use library::pipeline::{CompassPipeline, Pipeline, Settings};
 use library::units::{MagneticField, radians};
@@ -23,8 +23,8 @@ use crate::times::{SingleTimes, count_on, time_us, times_us};
 use crate::units::{Units, warn};
 use crate::vectors::{Vectors, three, vector};
 
-/// Largest delay, µs: no low-pass filter or bus is slower.
-const LONGEST_DELAY_US: u32 = 1_000_000;
+/// Largest delay of a compass, µs: none is slower.
+const LONGEST_COMPASS_DELAY_US: u32 = 1_000_000;
 
 /// Kalman filter for the attitude of a body, with the sensor's mount.
 ///
@@ -37,7 +37,7 @@ const LONGEST_DELAY_US: u32 = 1_000_000;
 ///     The sensor axes along which the body's forward and down axes point, such as "+x-z".
 ///     "z-up" (the default): the sensor lies face up and reads +9.81 m/s2 along z at rest.
 /// sensor_delay_us : int
-///     Age of a sample's content at its time, 1,000,000 at most. Attitudes are extrapolated by it.
+///     Age of a sample's content at its time, 100,000 at most. Attitudes are extrapolated by it.
 /// accelerometer : str, optional
 ///     Knowledge of the accelerometer's offset: "factory" (as the sensor came), "six-poses" or
 ///     "calibrated" (twelve poses, or by its maker). Without it the recording's statement counts,
@@ -179,12 +179,16 @@ impl Kalman {
         compass_delay_us: u32,
         declination_deg: f32,
     ) -> PyResult<Self> {
-        for (name, delay_us) in [
-            ("sensor_delay_us", sensor_delay_us),
-            ("compass_delay_us", compass_delay_us),
+        for (name, delay_us, longest_us) in [
+            ("sensor_delay_us", sensor_delay_us, LONGEST_DELAY_US),
+            (
+                "compass_delay_us",
+                compass_delay_us,
+                LONGEST_COMPASS_DELAY_US,
+            ),
         ] {
-            if delay_us > LONGEST_DELAY_US {
-                let reason = format!("{name} has to be 1000000 at most: a second");
+            if delay_us > longest_us {
+                let reason = format!("{name} has to be {longest_us} at most, in microseconds");
                 return Err(PyValueError::new_err(reason));
             }
         }
@@ -298,8 +302,9 @@ impl Kalman {
     ///     False skips the checks of units. True (the default) checks them as `read_log` does.
     ///     A recording was checked before.
     ///
-    /// Raises ValueError if the numbers suggest another unit, with what to pass. Warns with
-    /// UserWarning if they may be in another unit, or if the rates do not fit the force.
+    /// Raises ValueError if the numbers suggest another unit or exchanged arrays, with what to
+    /// pass, or if the times mostly decrease. Warns with UserWarning if they may be in another
+    /// unit, or if the rates do not fit the force.
     #[pyo3(signature = (t_us, gyro=None, accel=None, mag=None, *, armed=None, check_units=true))]
     #[allow(clippy::too_many_arguments, reason = "one is the interpreter")]
     fn run<'py>(

@@ -146,6 +146,19 @@ pub fn count_on(times: &mut [i64]) -> bool {
     has_wrapped
 }
 
+/// Refuses times that mostly decrease. The flags show single ones that do.
+pub fn check_order(times: &[i64]) -> PyResult<()> {
+    let back = times.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    let forward = times.windows(2).filter(|pair| pair[1] > pair[0]).count();
+    if back <= forward {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(
+        "t_us mostly decreases: sort all rows by time, as np.argsort(t_us, kind='stable') orders \
+         them. If it is right, add check_units=False",
+    ))
+}
+
 /// Refuses times whose first steps are not those of the rate.
 pub fn check_rate(times: &[i64], rate_hz: f64) -> PyResult<()> {
     let first = &times[..times.len().min(ROWS_AHEAD)];

@@ -10,7 +10,7 @@ use numpy::ndarray::ArrayView2;
 use pyo3::exceptions::{PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 
-use crate::times::check_rate;
+use crate::times::{check_order, check_rate};
 use crate::vectors::vector;
 
 /// Advice on register counts for Python.
@@ -55,9 +55,10 @@ fn for_arrays(mut message: String) -> String {
 pub struct Units(UnitCheck);
 
 impl Units {
-    /// Checks the first rows together. A rate that is known shows the unit of the times.
+    /// Checks the order of the times, and the first rows together. A rate that is known shows the
+    /// unit of the times.
     ///
-    /// Raises ValueError if the numbers suggest another unit.
+    /// Raises ValueError if the numbers suggest another unit, or exchanged arrays.
     pub fn new(
         times: &[i64],
         rate_hz: Option<f64>,
@@ -65,6 +66,7 @@ impl Units {
         accel: ArrayView2<'_, f64>,
         mag: Option<ArrayView2<'_, f64>>,
     ) -> PyResult<Self> {
+        check_order(times)?;
         let mut options = RowOptions::default();
         if let Some(rate_hz) = rate_hz {
             check_rate(times, rate_hz)?;

@@ -410,6 +410,8 @@ def test_arrays_in_other_units_are_named():
         ((rest, np.tile(force[:1], (len(t_us), 1))), "did you mean °/s (pass np.radians(gyro))"),
         ((gyro, force / 9.80665), "did you mean g (pass accel * 9.80665)"),
         ((gyro, force / 0.00980665), "did you mean mg (pass accel * 0.00980665)"),
+        ((force, gyro), "did you mean g (pass accel * 9.80665), or to exchange force and rates"),
+        ((force, gyro * 0.05), "did you mean to exchange force and rates"),
         ((gyro, force * 209), "register counts (multiply them by full scale / 32768)"),
         ((gyro, force, field * 1e-6), "did you mean T (pass mag * 1e6)"),
         ((gyro, force, field * 1e-2), "did you mean G (pass mag * 100)"),
@@ -436,6 +438,11 @@ def test_arrays_in_other_units_are_named():
     damaged[500] = [0, 5000, 0]
     with pytest.raises(ValueError, match="in row 500 ay is 5000"):
         aplomb.Kalman().run(t_us, gyro, damaged)
+    order = np.arange(len(t_us))[::-1]
+    with pytest.raises(ValueError, match="t_us mostly decreases: sort all rows"):
+        aplomb.Kalman().run(t_us[order], gyro[order], force[order])
+    backwards = aplomb.Kalman().run(t_us[order], gyro, force, check_units=False)
+    assert not backwards.is_valid.any()
     # A recording was checked before.
     recording = aplomb.simulate(seconds=2)
     assert len(aplomb.Kalman().run(recording, mag=recording.accel * 1e-9)) == len(recording)
@@ -552,7 +559,7 @@ def test_what_is_wrong_is_named(tmp_path):
         (lambda: aplomb.Kalman().run(np.arange(5), zero[:, :2], zero), "gyro has 2 columns"),
         (lambda: aplomb.simulate(seconds=10**12), "from 1 to 86400"),
         (lambda: aplomb.simulate(seconds=0), "from 1 to 86400"),
-        (lambda: aplomb.Kalman(sensor_delay_us=1_000_001), "sensor_delay_us has to be 1000000"),
+        (lambda: aplomb.Kalman(sensor_delay_us=100_001), "sensor_delay_us has to be 100000 at"),
         (lambda: aplomb.Kalman(compass_delay_us=2**31), "compass_delay_us has to be 1000000"),
         (lambda: aplomb.calibrate_accelerometer(np.eye(3)), "multiply by 9.80665"),
         (lambda: aplomb.calibrate_accelerometer(np.eye(3) * 1000), "of mg multiply by 0.00980665"),

@@ -26,6 +26,11 @@ pub(crate) const LARGEST_FORCE_M_S2: f64 = 1000.0;
 pub(crate) const LARGEST_RATE_RAD_S: f64 = 72.0;
 /// Largest plausible rate in a log whose unit is given, rad/s (11,000 °/s).
 const LARGEST_GIVEN_RATE_RAD_S: f64 = 200.0;
+/// Median lengths of the specific force, m/s²: gravity within a tenth.
+const GRAVITY_M_S2: RangeInclusive<f64> = 8.8..=10.8;
+/// Largest median length, rad/s, of rates that stand where the force belongs. Faster turns are
+/// rare, and half of gravity is no force.
+const LARGEST_EXCHANGED_RATE_RAD_S: f64 = 4.9;
 /// Largest plausible mean rate over [`MEAN_RATE_US`], rad/s: three turns a second. A person who
 /// spins a sensor reaches 14 rad/s.
 const LARGEST_MEAN_RATE_RAD_S: f64 = 20.0;
@@ -114,7 +119,9 @@ impl Judge {
             self.watch = (self.step_us).and_then(|step_us| Watch::new(step_us, scale));
         }
         if self.options.force_unit.is_none() && !self.is_raw {
-            force_unit(upper_median(forces))?;
+            let rates = rows.clone().map(|row| norm(row.rates_rad_s));
+            let rates = rates.filter(|rate| rate.is_finite()).collect();
+            force_unit(upper_median(forces), upper_median(rates))?;
         }
         if self.options.field_unit.is_none() {
             field_unit(fields(rows))?;
@@ -340,9 +347,17 @@ fn time_unit(step_us: Option<f64>) -> Result<(), LogFault> {
     })))
 }
 
-/// Checks the size of the specific force.
-fn force_unit(force: Option<f64>) -> Result<(), LogFault> {
+/// Checks the size of the specific force. Rates of the size of gravity are the force.
+fn force_unit(force: Option<f64>, rate: Option<f64>) -> Result<(), LogFault> {
+    let are_exchanged = rate.is_some_and(|rate| GRAVITY_M_S2.contains(&rate));
     let meant = match force {
+        Some(force) if are_exchanged && (0.6..1.8).contains(&force) => {
+            "g (--force-unit g), or to exchange force and rates, as the rates have the size of \
+             gravity"
+        }
+        Some(force) if are_exchanged && force < LARGEST_EXCHANGED_RATE_RAD_S => {
+            "to exchange force and rates, as the rates have the size of gravity"
+        }
         Some(force) if (0.6..1.8).contains(&force) => "g (--force-unit g)",
         Some(force) if (600.0..1_500.0).contains(&force) => "mg (--force-unit mg)",
         Some(force) if force >= 1_500.0 => {

@@ -206,6 +206,34 @@ mod tests {
     }
 
     #[test]
+    fn exchanged_force_and_rates_are_found() {
+        let exchanged = |rates_rad_s: Vector, given: RowOptions| {
+            let rows = [row(0, rates_rad_s, [0.3, -5.0, 8.4]); 20];
+            let units = UnitCheck::new(&rows, given);
+            units.map(|_| ()).map_err(|fault| fault.to_string())
+        };
+        for (rate, meant) in [
+            (0.0, "did you mean to exchange force and rates"),
+            (0.07, "did you mean to exchange force and rates"),
+            (
+                1.3,
+                "did you mean g (--force-unit g), or to exchange force and rates",
+            ),
+            (4.0, "did you mean to exchange force and rates"),
+        ] {
+            let fault = exchanged([rate, 0.0, 0.0], RowOptions::default()).expect_err(meant);
+            assert!(fault.contains(meant), "{rate}: {fault}");
+        }
+        // A fast turn in gravity, and a unit that is given.
+        assert_eq!(exchanged([0.0, 0.0, 9.8], RowOptions::default()), Ok(()));
+        let given = RowOptions {
+            force_unit: Some(crate::units::ForceUnit::MetresPerSecondSquared),
+            ..RowOptions::default()
+        };
+        assert_eq!(exchanged([0.07, 0.0, 0.0], given), Ok(()));
+    }
+
+    #[test]
     fn damaged_rows_and_any_order_of_times_pass() {
         let mut units = UnitCheck::new(&[], RowOptions::default()).expect("no rows");
         for (time_us, value) in [(0, 9.8), (i64::MAX, f64::NAN), (i64::MIN, 9.8), (-5, 9.8)] {

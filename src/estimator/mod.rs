@@ -10,7 +10,8 @@
 //! Yaw starts at zero and is relative. [`heading`] adds the heading from a compass, beside the
 //! default filter.
 //!
-//! Samples in SI units, in body axes (forward, right, down), need nothing else:
+//! A [`Pipeline`](crate::pipeline::Pipeline) adds the checks that an [`Estimator`] lacks. Samples
+//! in SI units, in body axes (forward, right, down), need nothing else:
 //!
 //! ```
 //! use aplomb::attitude::BodyVector;
@@ -53,6 +54,10 @@ pub const REVISION: u16 = 34;
 /// Longest step that a filter bridges, in µs. After a longer one the motion in between is unknown.
 pub const LONGEST_STEP_US: u64 = 500_000;
 
+/// Longest delay of a sensor that a filter takes, in µs: 0.1 s. The slowest low-pass filter of a
+/// part delays by 67 ms (MPU-6500 register map r2.1 §4.8).
+pub const LONGEST_DELAY_US: u32 = 100_000;
+
 /// Smallest specific force that shows where down is, in m/s²: a quarter of gravity. Below it the
 /// accelerometer's offset (80 mg, product specification §6.2) may turn its direction by 20° and
 /// more.
@@ -77,6 +82,15 @@ const IMPLAUSIBLE_RATE_RAD_S: f32 = 90.0;
 
 /// Filter with its gate. The attitude stays a finite rotation for any input, and good samples
 /// restore it.
+///
+/// A [`Pipeline`](crate::pipeline::Pipeline) does more, with its
+/// [`update_sample`](crate::pipeline::Pipeline::update_sample) too. The estimator alone
+///
+/// - does not notice frozen data, a stuck axis, or vibration that clips;
+/// - takes a late sample, and then counts the time between twice;
+/// - inflates no σ for spurious full-scale readings or wrong full scales;
+/// - has no `VALID`: check [`Estimate::is_bias_known`], σ and [`Estimate::issues`];
+/// - takes no step for a pause until [`Kalman::set_sample_period`] is called.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Estimator<F = Kalman> {

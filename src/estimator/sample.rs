@@ -69,6 +69,9 @@ impl defmt::Format for Issues {
 }
 
 /// Result of a sample.
+///
+/// The attitude is that of the sample's time: it is extrapolated by the filter's delay. The body
+/// rates are those of the sample, older by the delay.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

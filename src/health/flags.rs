@@ -147,6 +147,7 @@ impl From<BoardFlags> for Flags {
 
 /// Error of a text that names an unknown flag.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct UnknownFlag;
 
 impl fmt::Display for UnknownFlag {

@@ -173,7 +173,7 @@ impl FromStr for GyroscopeRange {
     }
 }
 
-/// Text that names no full scale.
+/// Text that names no full scale, or no low-pass filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ParseRangeError(Kind);
@@ -183,6 +183,7 @@ pub struct ParseRangeError(Kind);
 enum Kind {
     Accelerometer,
     Gyroscope,
+    LowPass,
 }
 
 impl fmt::Display for ParseRangeError {
@@ -190,16 +191,26 @@ impl fmt::Display for ParseRangeError {
         formatter.write_str(match self.0 {
             Kind::Accelerometer => "the accelerometer's ranges are 2, 4, 8 and 16 g",
             Kind::Gyroscope => "the gyroscope's ranges are 250, 500, 1000 and 2000 °/s",
+            Kind::LowPass => "the low-pass filters are 256, 188, 98, 42, 20, 10 and 5 Hz",
         })
     }
 }
 
 impl core::error::Error for ParseRangeError {}
 
-/// Digital low-pass filter, named by the gyroscope's bandwidth in hertz.
+/// Digital low-pass filter, named by the gyroscope's bandwidth in hertz, which is its text.
 ///
 /// Bandwidths and delays are the MPU-6050's (register map §4.3). The MPU-6500 family takes the
 /// same settings with bandwidths within 6 Hz. [`Part`](super::Part) has its longer delays.
+///
+/// ```
+/// use aplomb::mpu6050::LowPass;
+///
+/// let low_pass: LowPass = "98".parse()?;
+/// assert_eq!(low_pass.gyroscope_bandwidth_hz(), 98);
+/// assert_eq!(low_pass.to_string(), "98");
+/// # Ok::<(), aplomb::mpu6050::ParseRangeError>(())
+/// ```
 #[repr(u8)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -295,6 +306,30 @@ impl LowPass {
             Self::Hertz20 => 8500,
             Self::Hertz10 => 13800,
             Self::Hertz5 => 19000,
+        }
+    }
+}
+
+impl fmt::Display for LowPass {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.gyroscope_bandwidth_hz().fmt(formatter)
+    }
+}
+
+impl FromStr for LowPass {
+    type Err = ParseRangeError;
+
+    /// Parses the gyroscope's bandwidth in Hz: `256`, `188`, `98`, `42`, `20`, `10` or `5`.
+    fn from_str(text: &str) -> Result<Self, ParseRangeError> {
+        match text {
+            "256" => Ok(Self::Hertz256),
+            "188" => Ok(Self::Hertz188),
+            "98" => Ok(Self::Hertz98),
+            "42" => Ok(Self::Hertz42),
+            "20" => Ok(Self::Hertz20),
+            "10" => Ok(Self::Hertz10),
+            "5" => Ok(Self::Hertz5),
+            _ => Err(ParseRangeError(Kind::LowPass)),
         }
     }
 }
@@ -429,7 +464,12 @@ mod tests {
         for range in GyroscopeRange::ALL {
             assert_eq!(range.to_string().parse(), Ok(range));
         }
+        for low_pass in LowPass::ALL {
+            assert_eq!(low_pass.to_string().parse(), Ok(low_pass));
+        }
         for text in ["", "3", "16 g", "-2", "+2", "2.0", "02000"] {
+            let error = text.parse::<LowPass>().expect_err(text);
+            assert!(error.to_string().contains("20, 10 and 5 Hz"), "{error}");
             let error = text.parse::<AccelerometerRange>().expect_err(text);
             assert!(error.to_string().contains("2, 4, 8 and 16 g"), "{error}");
             let error = text.parse::<GyroscopeRange>().expect_err(text);

@@ -66,6 +66,7 @@ pub fn compass_knowledge(alignment: &CompassAlignment) -> CompassKnowledge {
 
 /// Reading of a compass, with all that a heading filter needs of it. A flight log keeps it.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CompassReading {
     /// Number of readings that the module has taken before this one, since its start.
     pub number: u32,

@@ -51,7 +51,7 @@ mod thermal_drift;
 mod tests;
 
 pub use compass::{CompassPipeline, CompassReading, compass_knowledge};
-pub use settings::Settings;
+pub use settings::{ImplausibleSettings, Settings};
 pub use snapshot::Snapshot;
 
 use core::f32::consts::PI;
@@ -108,18 +108,18 @@ pub struct Pipeline {
 impl Pipeline {
     /// Creates a pipeline without a burst.
     ///
-    /// Does not check the calibration: call [`Calibration::check`] for one that comes from outside.
-    /// With one that no sensor has, wrong attitudes are flagged [`Flags::VALID`].
+    /// Does not check the settings: call [`Settings::check`] if they come from outside. With a
+    /// calibration that no sensor has, wrong attitudes are flagged [`Flags::VALID`].
     ///
     /// ```
-    /// use aplomb::calibration::{Calibration, ImplausibleCalibration};
+    /// use aplomb::calibration::Calibration;
     /// use aplomb::mpu6050::{Config, Part};
-    /// use aplomb::pipeline::{Pipeline, Settings};
+    /// use aplomb::pipeline::{ImplausibleSettings, Pipeline, Settings};
     ///
-    /// fn start(calibration: Calibration) -> Result<Pipeline, ImplausibleCalibration> {
-    ///     calibration.check()?;
+    /// fn start(calibration: Calibration) -> Result<Pipeline, ImplausibleSettings> {
     ///     let mut settings = Settings::for_sensor(&Part::MPU_6050, &Config::DEFAULT);
     ///     settings.calibration = calibration;
+    ///     settings.check()?;
     ///     Ok(Pipeline::new(&settings))
     /// }
     /// # assert!(start(Calibration::NONE).is_ok());
@@ -148,7 +148,7 @@ impl Pipeline {
             order: SampleOrder::new(),
         };
         let filter = pipeline.estimator.filter_mut();
-        filter.set_delay(settings.delay_s());
+        filter.set_delay_us(settings.delay_us());
         filter.set_sample_period(1.0 / sensor.sample_rate_hz());
         filter.set_accelerometer_knowledge(settings.accelerometer_knowledge());
         filter.set_gyroscope_knowledge(settings.gyroscope_knowledge());
@@ -303,7 +303,9 @@ impl Pipeline {
 
     /// Continues from an earlier run, whose σ belong to `t_us` on the clock of the bursts, in µs.
     /// Call it before the first burst, which comes later. Returns false, and changes nothing, if
-    /// the state is damaged. See [`Estimator::resume`].
+    /// the state is damaged. After a burst, which it does not check, it replaces attitude and
+    /// biases too. See [`Estimator::resume`], and [`resume_aged`](Self::resume_aged) for an old
+    /// state.
     pub fn resume(&mut self, start: &WarmStart, t_us: u64) -> bool {
         let [forward, right] = start.accelerometer_bias_m_s2;
         let removed = self.alignment.accelerometer_offset_m_s2();

@@ -5,6 +5,9 @@ use crate::health::Flags;
 
 /// An attitude at one moment, with its σ and flags.
 ///
+/// The attitude is that of `t_us`: it is extrapolated by the sensor's delay. The body rates are
+/// those of the sample, older by the delay: 1.9 ms by default, 4.8 ms in a filter of 42 Hz.
+///
 /// The layout is part of the interface: debuggers and emulators read it from memory.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -121,6 +121,9 @@ fn the_delay_of_the_low_pass_filter_is_compensated() {
     assert!((delayed - 13.8).abs() < 0.05, "{delayed}");
     let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_000));
     assert!((delayed - 10.0).abs() < 0.05, "{delayed}");
+    // 1.9 ms in ns would be 5 turns and 100° more.
+    let delayed = yaw_after(crate::mpu6050::LowPass::Hertz42, Some(1_900_000));
+    assert!((delayed - 9.0).abs() < 0.05, "{delayed}");
 }
 
 #[test]

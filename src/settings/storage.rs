@@ -65,6 +65,7 @@ pub const LONGEST_RECORD: usize = HEADER_LENGTH + BODY_CAPACITY;
 
 /// Content of the flash at start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Loaded<T = Record> {
     /// Active record, if there is one.
     pub record: Option<T>,

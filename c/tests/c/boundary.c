@@ -43,9 +43,9 @@ static void settings_are_checked(void)
     wrong.who_am_i = 0;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_UNKNOWN_PART);
     wrong = settings;
-    wrong.sensor_delay_us = 1000001;
+    wrong.sensor_delay_us = 100001;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_DELAY);
-    wrong.sensor_delay_us = 1000000;
+    wrong.sensor_delay_us = 100000;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_OK);
     wrong.accelerometer_knowledge = 4;
     assert(aplomb_init(&pipeline, &wrong) == APLOMB_STATUS_WRONG_KNOWLEDGE);

@@ -284,7 +284,7 @@ struct Library<F>(Estimator<F>);
 
 fn kalman(delay_us: u32) -> Library<Kalman> {
     let mut estimator = Estimator::new();
-    estimator.filter_mut().set_delay(delay_us as f32 * 1.0e-6);
+    estimator.filter_mut().set_delay_us(delay_us);
     Library(estimator)
 }
 

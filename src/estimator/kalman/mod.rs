@@ -138,8 +138,9 @@ pub use warm_start::WarmStart;
 use super::filter::Filter;
 use super::sample::Sample;
 use crate::attitude::{Quaternion, Vector3};
+use crate::estimator::LONGEST_DELAY_US;
 use crate::estimator::arithmetic::{larger, square};
-use crate::units::{STANDARD_GRAVITY_M_S2, radians};
+use crate::units::{SECONDS_PER_MICROSECOND, STANDARD_GRAVITY_M_S2, radians};
 use confirmation::Confirmation;
 use consistency::Consistency;
 use covariance::Column;
@@ -368,10 +369,13 @@ impl Kalman {
         filter
     }
 
-    /// Sets the delay of the sensor, s, from 0. The attitude is extrapolated by it to the sample's
-    /// time. The delay has to be finite, because an attitude would be NaN with it.
-    pub const fn set_delay(&mut self, delay_s: f32) {
-        self.delay_s = delay_s;
+    /// Sets the delay of the sensor, µs: age of a sample's content at the sample's time. The
+    /// attitude is extrapolated by it. A delay above [`LONGEST_DELAY_US`] changes nothing. Default:
+    /// 0.
+    pub const fn set_delay_us(&mut self, delay_us: u32) {
+        if delay_us <= LONGEST_DELAY_US {
+            self.delay_s = delay_us as f32 * SECONDS_PER_MICROSECOND;
+        }
     }
 
     /// Sets the variance that the gyroscope's bias gains in a second beyond the tuning's random

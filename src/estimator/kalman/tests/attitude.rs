@@ -2,6 +2,7 @@
 
 use super::super::propagation::Transition;
 use super::*;
+use crate::attitude::BodyVector;
 
 #[test]
 fn the_attitude_belongs_to_the_time_of_the_sample() {
@@ -10,7 +11,7 @@ fn the_attitude_belongs_to_the_time_of_the_sample() {
     let mut world = World::at_rest(Quaternion::IDENTITY);
     world.rate_noise = 0.0;
     let mut estimator = estimator();
-    estimator.filter_mut().set_delay(delay_us as f32 * 1.0e-6);
+    estimator.filter_mut().set_delay_us(delay_us);
     world.run(&mut estimator, 2_000);
     world.rate_rad_s = rate;
     let mut waiting = std::collections::VecDeque::new();
@@ -33,6 +34,21 @@ fn the_attitude_belongs_to_the_time_of_the_sample() {
             assert!(error < 0.35, "{index}: {error}");
         }
     }
+}
+
+#[test]
+fn a_delay_that_no_sensor_has_is_not_used() {
+    let turn_deg = |delay_us| {
+        let mut estimator = Estimator::new();
+        estimator.filter_mut().set_delay_us(delay_us);
+        let (level, rate) = (Vector3::new(0.0, 0.0, -9.81), Vector3::new(0.0, 0.0, 1.0));
+        let estimate = estimator.update(&Sample::new(1_000, BodyVector(level), BodyVector(rate)));
+        estimate.euler().yaw_rad.to_degrees()
+    };
+    let at_once = turn_deg(0);
+    assert!((turn_deg(LONGEST_DELAY_US) - at_once - 5.73).abs() < 0.01);
+    assert_eq!(turn_deg(LONGEST_DELAY_US + 1), at_once);
+    assert_eq!(turn_deg(1_900_000), at_once);
 }
 
 #[test]
