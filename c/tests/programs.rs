@@ -13,50 +13,16 @@ use aplomb::pipeline::{Pipeline, Settings};
 use aplomb::telemetry::bursts;
 
 mod common;
+#[path = "common/compilers.rs"]
+mod compilers;
 
 use common::{SYSTEM, WARNINGS, library};
+use compilers::{Compiler, compilers};
 
-/// Returns whether this compiler can make an empty program with these options, as this file.
-fn can_link(compiler: &str, options: &[&str], program: &Path) -> bool {
+/// Returns the compilers that are on this computer. `probe` is a file to write.
+fn found_compilers(probe: &Path) -> Vec<Compiler> {
     let empty = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c/empty.c");
-    let mut command = Command::new(compiler);
-    command.args(options).arg(empty).arg("-o").arg(program);
-    command.output().is_ok_and(|output| output.status.success())
-}
-
-/// Compilers with their languages that are on this computer. `probe` is a file to write.
-fn compilers(probe: &Path) -> Vec<(&'static str, &'static [&'static str])> {
-    let all: [(&str, &[&str]); 6] = [
-        ("gcc", &["-std=c99"]),
-        (
-            "gcc",
-            &[
-                "-std=c99",
-                "-fsanitize=address,undefined",
-                "-fno-sanitize-recover",
-            ],
-        ),
-        (
-            "g++",
-            &["-x", "c++", "-std=c++11", "-Wno-missing-field-initializers"],
-        ),
-        ("clang", &["-std=c99"]),
-        (
-            "clang",
-            &[
-                "-std=c99",
-                "-fsanitize=address,undefined",
-                "-fno-sanitize-recover",
-            ],
-        ),
-        (
-            "clang++",
-            &["-x", "c++", "-std=c++11", "-Wno-missing-field-initializers"],
-        ),
-    ];
-    let (found, absent): (Vec<_>, Vec<_>) = all
-        .into_iter()
-        .partition(|(name, options)| can_link(name, options, probe));
+    let (found, absent) = compilers(&empty, probe);
     for (name, options) in absent {
         eprintln!("skipped: {name} {options:?}: the compiler or its sanitizer is not installed");
     }
@@ -67,7 +33,7 @@ fn compilers(probe: &Path) -> Vec<(&'static str, &'static [&'static str])> {
 fn each_program(name: &str, sources: &[&str], run: impl Fn(&Path)) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
     let file = |suffix: &str| common::file(&format!("{name}-{suffix}"));
-    for (index, (compiler, options)) in compilers(&file("probe")).into_iter().enumerate() {
+    for (index, (compiler, options)) in found_compilers(&file("probe")).into_iter().enumerate() {
         let program = file(&index.to_string());
         let mut command = Command::new(compiler);
         command.args(WARNINGS).args(options);
@@ -240,31 +206,51 @@ fn gives_the_same_bits(table: &str) {
     });
 }
 
-/// Returns the first block of this language on a page.
-fn first_block(page: &str, language: &str) -> String {
+/// Returns the blocks of this language on a page.
+fn blocks(page: &str, language: &str) -> Vec<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
     let text = std::fs::read_to_string(&path).expect("the page is there");
-    let (_, block) = text
-        .split_once(&format!("```{language}\n"))
-        .expect("it has a block");
-    block
-        .split_once("```")
-        .expect("the block ends")
-        .0
-        .to_owned()
+    let fence = format!("```{language}\n");
+    let starts = text.split(&fence).skip(1);
+    let block = |start: &str| {
+        start
+            .split_once("```")
+            .expect("the block ends")
+            .0
+            .to_owned()
+    };
+    starts.map(block).collect()
+}
+
+/// Compiles and runs a program of a page, and returns what it prints; `None` without a compiler.
+fn output_of(name: &str, source: &str) -> Option<String> {
+    let file = common::file(&format!("{name}.c"));
+    std::fs::write(&file, source).expect("the folder can be written");
+    let program = common::program_of_gcc(name, file.to_str().expect("text"))?;
+    let output = Command::new(&program).output().expect("the program runs");
+    assert!(output.status.success(), "{name}: {}", output.status);
+    Some(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
 #[test]
-fn the_page_shows_an_attitude_in_fifteen_lines() {
-    let source = first_block("docs/c.md", "c");
-    let lines = source.lines().filter(|line| !line.trim().is_empty());
-    assert!(lines.count() <= 15, "{source}");
-    let file = common::file("page.c");
-    std::fs::write(&file, source).expect("the folder can be written");
-    let Some(program) = common::program_of_gcc("page", file.to_str().expect("text")) else {
-        return;
+fn the_page_shows_an_attitude_in_fifteen_lines_and_a_heading() {
+    let [attitude, heading] = &blocks("docs/c.md", "c")[..] else {
+        panic!("another block has no test");
     };
-    let output = Command::new(&program).output().expect("the program runs");
-    let printed = String::from_utf8_lossy(&output.stdout);
-    assert_eq!(printed, "roll 30.0 degrees\n");
+    let lines = attitude.lines().filter(|line| !line.trim().is_empty());
+    assert!(lines.count() <= 15, "{attitude}");
+    if let Some(printed) = output_of("page", attitude) {
+        assert_eq!(printed, "roll 30.0 degrees\n");
+    }
+    // The second block goes on with the sample and the snapshot of the first.
+    let (_, sample) = attitude.split_once("    AplombSample").expect("a sample");
+    let (sample, _) = sample.split_once('\n').expect("lines");
+    let source = format!(
+        "#include <stdio.h>\n#include \"aplomb.h\"\n\nint main(void) {{\n\
+         AplombSample{sample}\nAplombSnapshot snapshot;\n{heading}\
+         printf(\"roll %.1f degrees\\n\", snapshot.roll_rad * 57.29578f);\nreturn 0;\n}}\n"
+    );
+    if let Some(printed) = output_of("heading-page", &source) {
+        assert_eq!(printed, "roll 30.0 degrees\n");
+    }
 }

@@ -353,7 +353,10 @@ fn the_compass_is_fitted_with_the_calibration_of_the_other_sensors() {
     let json = calibrate("compass-after", &posed_and_turned(), &["--json"]).unwrap();
     let found: serde_json::Value = serde_json::from_str(&json).unwrap();
     let compass = &found["compass"];
-    assert!(compass["residual_ut"].as_f64() < Some(0.3), "{json}");
+    assert!(
+        compass["residual_ut"].as_f64().is_some_and(|it| it < 0.3),
+        "{json}"
+    );
     for (row, hard_iron) in HARD_IRON_UT.into_iter().enumerate() {
         let found = compass["hard_iron_ut"][row].as_f64().unwrap();
         assert!((found - hard_iron).abs() < 0.3, "{json}");
@@ -491,7 +494,12 @@ fn turns_between_twelve_poses_show_the_gyroscopes_matrix() {
                 assert!(error.abs() < 0.002, "{seed}, {row}, {column}: {error}");
             }
         }
-        assert!(found["residual_after_deg"].as_f64() < Some(0.1), "{json}");
+        assert!(
+            found["residual_after_deg"]
+                .as_f64()
+                .is_some_and(|it| it < 0.1),
+            "{json}"
+        );
     }
 }
 

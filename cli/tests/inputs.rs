@@ -501,7 +501,7 @@ fn a_message_quotes_at_most_80_characters() {
             let message = refusal(command, &input, &more);
             let longest = message.split('"').map(|part| part.chars().count()).max();
             // What is not a quotation names the columns.
-            assert!(longest < Some(250), "{command}: {message}");
+            assert!(longest.is_some_and(|it| it < 250), "{command}: {message}");
             assert!(message.lines().count() < 4, "{command}: {message}");
             assert!(!message.contains('\u{1b}'), "{command}: {message}");
         }

@@ -346,6 +346,67 @@ fn each_fault_of_the_readings_shows_in_time_and_ends() {
     }
 }
 
+/// A fault takes bad outcomes in a row.
+#[test]
+fn bad_outcomes_apart_are_no_fault() {
+    type Reading = fn(u32) -> Vec<u8>;
+    let overflow: Reading = |n| {
+        let mut bytes = ak8963_bytes(n);
+        bytes[7] |= if n.is_multiple_of(10) { 0x08 } else { 0 };
+        bytes
+    };
+    let not_ready: Reading = |n| {
+        let mut bytes = ak8963_bytes(n);
+        bytes[0] = u8::from(!n.is_multiple_of(10));
+        bytes
+    };
+    let garbled: Reading = |n| {
+        let mut bytes = ak8963_bytes(n);
+        bytes[7] = if n.is_multiple_of(10) { 0 } else { 0x10 };
+        bytes
+    };
+    for reading in [overflow, not_ready, garbled] {
+        let mut compass = find(Bus::with([Chip::ak8963(reading)]), Choice::Auto).unwrap();
+        for _ in 0..20 {
+            assert_eq!(turns(&mut compass, 20), (9, None));
+        }
+    }
+}
+
+/// Two turns have one reading that is not acknowledged, or one and a look at the settings.
+#[test]
+fn silent_turns_apart_are_no_fault() {
+    for (part, bus) in every_part() {
+        let mut compass = find(bus, Choice::Auto).unwrap();
+        for _ in 0..50 {
+            compass.bus_mut().chip(part.address()).is_silent = true;
+            assert_eq!(turns(&mut compass, 2), (0, None), "{part:?}");
+            compass.bus_mut().chip(part.address()).is_silent = false;
+            let (readings, fault) = turns(&mut compass, 7);
+            assert!(readings >= 3, "{part:?} {readings}");
+            assert_eq!(fault, None, "{part:?}");
+        }
+    }
+}
+
+/// A strong magnet is no fault of the settings: the session goes on with its readings.
+#[test]
+fn an_overflow_drops_readings_and_nothing_else() {
+    let overflow = |n| {
+        let mut bytes = ak8963_bytes(n);
+        bytes[7] |= 0x08;
+        bytes
+    };
+    let mut compass = find(Bus::with([Chip::ak8963(ak8963_bytes)]), Choice::Auto).unwrap();
+    assert!(turns(&mut compass, 20).0 > 0);
+    compass.bus_mut().chip(0x0C).reading = Box::new(overflow);
+    for _ in 0..100 {
+        assert_eq!(turns(&mut compass, 1).0, 0);
+        assert!(compass.session().is_running());
+    }
+    assert_eq!(compass.session().fault(), Some(Fault::Overflow));
+}
+
 #[test]
 fn a_compass_that_disappears_is_lost_and_found_again() {
     for (part, bus) in every_part() {
@@ -390,6 +451,42 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
     assert!(pauses.starts_with(&[11, 21, 41, 81]), "{pauses:?}");
     assert_eq!(pauses.last(), Some(&1_001), "{pauses:?}");
     assert!(slots(&mut compass, 4).1.is_none());
+}
+
+#[test]
+fn after_good_readings_a_stop_of_the_bus_has_a_short_pause_again() {
+    let [(_, mut bus), ..] = every_part();
+    let mut session = Session::new(Choice::Auto);
+    // Returns whether the turn had a transfer.
+    let mut turn = |session: &mut Session, hangs: bool| {
+        let Some(transfer) = session.next_transfer() else {
+            return false;
+        };
+        let mut bytes = [0; LONGEST_READ];
+        let is_done = driver::perform(&mut bus, transfer, &mut bytes);
+        session.finish(&match (hangs, is_done, transfer) {
+            (true, ..) => Outcome::Hung,
+            (_, false, _) => Outcome::NoAnswer,
+            (_, true, Transfer::Read { .. }) => Outcome::Read(&bytes),
+            (_, true, Transfer::Write { .. }) => Outcome::Written,
+        });
+        true
+    };
+    for _ in 0..3 {
+        let mut stops = Vec::new();
+        for number in 0..100 {
+            if turn(&mut session, stops.len() < 4) && stops.len() < 4 {
+                stops.push(number);
+            }
+        }
+        let pauses: Vec<i32> = stops.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert_eq!(pauses, [11, 21, 41]);
+        for _ in 0..200 {
+            turn(&mut session, false);
+        }
+        assert_eq!(session.fault(), None);
+        assert!(session.is_running());
+    }
 }
 
 /// A board without a compass is no fault, even if a disturbance has stopped the bus meanwhile.

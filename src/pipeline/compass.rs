@@ -295,4 +295,29 @@ mod tests {
         snapshot.set_heading_valid(heading.estimate());
         assert!(!snapshot.flags.contains(Flags::HEADING_VALID));
     }
+
+    /// The heading's promise needs a tilt that is within 4° by its σ.
+    #[test]
+    fn a_heading_is_valid_with_a_certain_tilt_alone() {
+        let heading = HeadingEstimate {
+            yaw_offset_rad: 0.0,
+            sigma_rad: 0.01,
+            is_valid: true,
+        };
+        for (flags, sigma_deg, is_valid) in [
+            (Flags::VALID, 3.9_f32, true),
+            (Flags::VALID, 4.1, false),
+            (Flags::empty(), 3.9, false),
+        ] {
+            let sigma_rad = sigma_deg.to_radians();
+            let mut snapshot = Snapshot {
+                flags: flags | Flags::HEADING_VALID,
+                tilt_variance_rad2: sigma_rad * sigma_rad,
+                ..Snapshot::default()
+            };
+            snapshot.set_heading_valid(Some(heading));
+            let found = snapshot.flags.contains(Flags::HEADING_VALID);
+            assert_eq!(found, is_valid, "{flags}, {sigma_deg}");
+        }
+    }
 }

@@ -160,4 +160,24 @@ mod tests {
         assert!(rate.dot(rate) < 1e-8, "{rate:?}");
         assert_eq!(learned.check(), Ok(()));
     }
+
+    /// With a smaller σ the accelerations of a flight could not move the bias.
+    #[test]
+    fn a_resumed_bias_has_a_least_sigma() {
+        for (kept_deg_s, resumed_deg_s) in [(0.001, 0.05), (0.2, 0.2)] {
+            let kept = WarmStart {
+                attitude: crate::attitude::Quaternion::IDENTITY,
+                tilt_sigma_rad: 0.01,
+                bias_rad_s: Vector3::ZERO,
+                bias_change_rad_s: Vector3::ZERO,
+                bias_sigma_rad_s: radians(kept_deg_s),
+                accelerometer_bias_m_s2: [0.0; 2],
+                squared_velocity_m2_s2: 0.0,
+            };
+            let mut pipeline = Pipeline::new(&Settings::new(&Part::MPU_6050));
+            assert!(pipeline.resume_aged(&kept, 0, 1_000));
+            let ratio = pipeline.kalman().largest_bias_sigma_rad_s() / radians(resumed_deg_s);
+            assert!((ratio - 1.0).abs() < 1.0e-3, "{kept_deg_s}: {ratio}");
+        }
+    }
 }

@@ -319,6 +319,39 @@ fn a_gyroscope_matrix_narrows_the_prior_of_the_scale() {
     assert_eq!(sigma_after_a_turn(stated), started);
 }
 
+/// Twelve poses, or the maker, calibrate both sensors.
+#[test]
+fn a_calibrated_accelerometer_implies_a_calibrated_gyroscope() {
+    use AccelerometerKnowledge::{Calibrated, Factory, SixPoses};
+    for (accelerometer, implied, other) in [
+        (
+            Calibrated,
+            GyroscopeKnowledge::Calibrated,
+            GyroscopeKnowledge::Factory,
+        ),
+        (
+            SixPoses,
+            GyroscopeKnowledge::Factory,
+            GyroscopeKnowledge::Calibrated,
+        ),
+        (
+            Factory,
+            GyroscopeKnowledge::Factory,
+            GyroscopeKnowledge::Calibrated,
+        ),
+    ] {
+        let mut pipeline = Pipeline::new(&settings());
+        pipeline.set_accelerometer_knowledge(accelerometer);
+        let with = |gyroscope| {
+            let mut stated = pipeline;
+            stated.set_gyroscope_knowledge(gyroscope);
+            stated
+        };
+        assert!(pipeline == with(implied), "{accelerometer:?}");
+        assert!(pipeline != with(other), "{accelerometer:?}");
+    }
+}
+
 #[test]
 fn only_a_new_mount_or_gyroscope_matrix_restarts_the_filter() {
     let mut pipeline = Pipeline::new(&settings());
@@ -768,6 +801,23 @@ fn samples_that_come_twice_change_nothing() {
     }
 }
 
+/// Each late sample counts for a sample period at least, though the clock shows no time.
+#[test]
+fn a_clock_that_stands_still_hides_motion() {
+    let mut pipeline = rested();
+    assert!(pipeline.kalman().is_still());
+    for _ in 0..300 {
+        let snapshot = pipeline.update_sample(&rolled(2_999_000, 0.0, 0.0));
+        assert!(!snapshot.flags.contains(Flags::VALID));
+    }
+    let sigma = pipeline
+        .update_sample(&rolled(3_000_000, 0.0, 0.0))
+        .tilt_sigma_rad();
+    // 30 °/s per axis for 0.3 s.
+    assert!(sigma > radians(9.0), "{}", degrees(sigma));
+    assert!(!pipeline.kalman().is_still(), "the rest has ended");
+}
+
 #[test]
 fn a_clock_that_is_set_back_never_gives_a_valid_attitude_that_is_wrong() {
     for back_us in [20_000, 100_000, 499_000, 502_000, 1_000_000, 2_900_000] {
@@ -835,6 +885,17 @@ fn settled_with(settings: &Settings, force_m_s2: Vector3) -> (Pipeline, u64) {
     (pipeline, 3_000_000)
 }
 
+/// Returns settings with an offset that was stored for the forward axis, °/s, at the bursts'
+/// temperature. With the first burst the filter restarts.
+fn with_stored_offset(degrees_s: f32) -> Settings {
+    let mut settings = settings();
+    settings.calibration.gyroscope = Some(GyroscopeOffset {
+        offset_rad_s: Vector3::new(radians(degrees_s), 0.0, 0.0),
+        temperature_celsius: 25.0,
+    });
+    settings
+}
+
 /// Returns a burst without rotation, never equal to the previous one.
 fn noisy(t_us: u64, force_m_s2: Vector3) -> Burst {
     with_noise(burst(Mount::Z_UP, t_us, force_m_s2, Vector3::ZERO))
@@ -847,6 +908,28 @@ fn with_noise(mut burst: Burst) -> Burst {
         burst.bytes[place] ^= u8::from(milliseconds.is_multiple_of(period));
     }
     burst
+}
+
+#[test]
+fn a_stored_offset_leaves_the_length_of_a_pause_known() {
+    let (mut pipeline, t_us) = settled_with(&with_stored_offset(0.0), LEVEL);
+    let sigma = update(&mut pipeline, &noisy(t_us + 200_000, LEVEL)).tilt_sigma_rad();
+    // 30 °/s per axis for 0.2 s.
+    assert!(sigma > radians(6.0), "{}", degrees(sigma));
+}
+
+/// Armed before the first burst, a pipeline measures no turn as the offset.
+#[test]
+fn a_stored_offset_leaves_the_pipeline_armed() {
+    let mut pipeline = Pipeline::new(&with_stored_offset(0.0));
+    pipeline.set_armed(true);
+    let turn = Vector3::new(0.0, 0.0, 10.0);
+    for millisecond in 0..8_000 {
+        let burst = burst(Mount::Z_UP, 1_000 * millisecond, LEVEL, turn);
+        update(&mut pipeline, &with_noise(burst));
+        let offset = pipeline.gyroscope_offset_body_rad_s();
+        assert!(offset.is_within(radians(0.5)), "{millisecond}: {offset:?}");
+    }
 }
 
 #[test]
@@ -954,6 +1037,56 @@ fn sigma_covers_a_false_jump_of_the_rate() {
                 assert!(is_covered, "{step} of {step_us}: {error} {sigma}");
             }
         }
+    }
+}
+
+/// Returns σ and the error of the tilt, degrees, with the sample after a jump of the rate about
+/// the right axis in a step of this length. The jump is in °/s.
+fn after_a_jump(rate_degrees_s: f32, step_us: u64) -> (f32, f32) {
+    let (mut pipeline, t_us) = settled();
+    let mut burst = noisy(t_us + step_us, LEVEL);
+    let mut raw = RawSample::decode(&burst.bytes);
+    raw.gyroscope.0[1] += (16.4 * rate_degrees_s) as i16;
+    burst.bytes = raw.encode();
+    update(&mut pipeline, &burst);
+    let next = update(&mut pipeline, &noisy(t_us + 2 * step_us, LEVEL));
+    let error = libm::acosf(next.attitude.down_in_body().z.min(1.0));
+    (degrees(next.tilt_sigma_rad()), degrees(error))
+}
+
+/// After a longer step the filter adds the change of the rate to σ itself.
+#[test]
+fn a_jump_of_the_rate_counts_once() {
+    // 500 °/s for 14 ms are 7.0° about either axis, and a quarter of it for 16 ms is 2°.
+    let (short_deg, _) = after_a_jump(500.0, 14_000);
+    let (long_deg, _) = after_a_jump(500.0, 16_000);
+    assert!((9.0..16.0).contains(&short_deg), "{short_deg}");
+    assert!((2.0..8.0).contains(&long_deg), "{long_deg}");
+}
+
+#[test]
+fn after_a_large_jump_of_the_rate_gravity_shows_the_tilt() {
+    // 19° and 13°.
+    let (_, lost_deg) = after_a_jump(1_900.0, 10_000);
+    let (_, kept_deg) = after_a_jump(1_300.0, 10_000);
+    assert!(lost_deg < 1.0, "{lost_deg}");
+    assert!(kept_deg > 10.0, "{kept_deg}");
+}
+
+/// No sensor of this family gives such a rate, saturated or not.
+#[test]
+fn an_impossible_rate_is_rejected_also_at_full_scale() {
+    for rate_rad_s in [101.0, 1.0e6, f32::INFINITY, f32::NAN] {
+        let (mut pipeline, t_us) = settled();
+        let usual = *pipeline.sample();
+        let snapshot = pipeline.update_sample(&Sample {
+            t_us: t_us + 1_000,
+            angular_rate_rad_s: Vector3::new(0.0, rate_rad_s, 0.0),
+            is_rate_saturated: true,
+            ..usual
+        });
+        assert!(snapshot.flags.contains(Flags::REJECTED), "{rate_rad_s}");
+        assert_eq!(*pipeline.sample(), usual, "{rate_rad_s}");
     }
 }
 
@@ -1140,6 +1273,42 @@ fn samples_in_si_units_wait_for_the_full_scales_too() {
     }
 }
 
+/// The rate is false from the first repetition on, for 0.1 s before the flag.
+#[test]
+fn after_frozen_samples_in_si_units_gravity_shows_the_tilt() {
+    let mut pipeline = Pipeline::new(&settings());
+    let mut noise = 1_u32;
+    let mut sample = |millisecond: u64| {
+        let mut next = || {
+            // Numerical Recipes' linear congruential generator.
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (noise >> 8) as f32 / (1 << 23) as f32 - 1.0
+        };
+        let mut axes = || Vector3::new(next(), next(), next());
+        let force = BodyVector(LEVEL + axes().scale(0.02));
+        Sample::new(1_000 * millisecond, force, BodyVector(axes().scale(0.002)))
+    };
+    for millisecond in 0..5_000 {
+        pipeline.update_sample(&sample(millisecond));
+    }
+    let frozen = Sample {
+        angular_rate_rad_s: Vector3::new(radians(45.0), 0.0, 0.0),
+        ..sample(5_000)
+    };
+    let mut last = Snapshot::default();
+    for millisecond in 5_000..5_200 {
+        let t_us = 1_000 * millisecond;
+        last = pipeline.update_sample(&Sample { t_us, ..frozen });
+    }
+    assert!(last.flags.contains(Flags::FROZEN), "{}", last.flags);
+    assert!(roll_error(&last, 0.0) > 3.0, "{last:?}");
+    // The monitor compares one sample in each 1/bandwidth.
+    let mut after = (5_200..5_210).map(|millisecond| pipeline.update_sample(&sample(millisecond)));
+    let first = after.find(|snapshot| !snapshot.flags.contains(Flags::FROZEN));
+    let error = first.map(|snapshot| roll_error(&snapshot, 0.0));
+    assert!(error.is_some_and(|error| error < 1.0), "{first:?}");
+}
+
 #[test]
 fn samples_carry_the_conditions_that_a_board_reports() {
     let board = BoardFlags::BUS_FAULT | BoardFlags::LATE | BoardFlags::POLLED;
@@ -1183,6 +1352,23 @@ fn a_resumed_pipeline_continues_the_earlier_run() {
     let second = update(&mut pipeline, &noisy(6_000, LEVEL));
     assert!(second.flags.contains(Flags::VALID), "{}", second.flags);
     assert!(pipeline.gyroscope_offset_body_rad_s() == known.bias_rad_s);
+}
+
+/// The kept bias is the whole one. What the stored offset removes is not removed twice.
+#[test]
+fn a_resumed_pipeline_with_a_stored_offset_keeps_the_whole_bias() {
+    let (mut pipeline, t_us) = settled();
+    let latest = update(&mut pipeline, &noisy(t_us + 1_000, LEVEL));
+    let known = pipeline.warm_start(&latest).expect("it is settled");
+    let mut pipeline = Pipeline::new(&with_stored_offset(5.0));
+    assert!(pipeline.resume(&known, 4_000));
+    for t_us in [None, Some(5_000), Some(6_000)] {
+        if let Some(t_us) = t_us {
+            update(&mut pipeline, &noisy(t_us, LEVEL));
+        }
+        let error = pipeline.gyroscope_offset_body_rad_s() - known.bias_rad_s;
+        assert!(error.norm() < 1.0e-6, "{t_us:?}: {error:?}");
+    }
 }
 
 fn multiple(Quaternion { w, x, y, z }: Quaternion, factor: f32) -> Quaternion {
@@ -1565,4 +1751,26 @@ fn full_scale_that_a_body_can_reach_is_a_turn() {
     // The turn may have been faster.
     let sigma_degrees = snapshot.tilt_sigma_rad().to_degrees();
     assert!(sigma_degrees > 20.0, "{sigma_degrees}");
+}
+
+/// While the readings were spurious, the rate may have changed steadily to the one after them.
+#[test]
+fn a_false_full_scale_reading_hides_the_change_of_the_rate() {
+    let sigma_deg = |rate_after_degrees_s: f32| {
+        let (mut pipeline, mut t_us) = settled();
+        let mut run = |reading_degrees_s: f32| {
+            t_us += 1_000;
+            let rate = Vector3::new(reading_degrees_s, 0.0, 0.0);
+            // No sensor repeats its readings.
+            let force = LEVEL.scale(1.0 + 0.002 * (t_us / 1_000 % 2) as f32);
+            update(&mut pipeline, &burst(Mount::Z_UP, t_us, force, rate))
+        };
+        for _ in 0..50 {
+            run(2_500.0);
+        }
+        degrees(run(rate_after_degrees_s).tilt_sigma_rad())
+    };
+    // 200 °/s for half of 50 ms are 5°.
+    let (steady, changed) = (sigma_deg(0.0), sigma_deg(200.0));
+    assert!(changed > 1.3 * steady, "{changed} {steady}");
 }

@@ -242,5 +242,33 @@ fn root_mean_square(values: &[f64]) -> Option<f64> {
 }
 
 fn maximum(values: &[f64]) -> Option<f64> {
-    values.iter().copied().reduce(f64::max)
+    values.iter().copied().reduce(larger)
+}
+
+/// Returns the larger value: NaN if either is, because a NaN keeps no limit.
+#[must_use]
+pub fn larger(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() {
+        f64::NAN
+    } else {
+        a.max(b)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_number_is_the_largest_value() {
+        assert_eq!(maximum(&[]), None);
+        assert_eq!(maximum(&[1.0, 3.0, 2.0]), Some(3.0));
+        for values in [
+            [f64::NAN, 1.0, 2.0],
+            [1.0, f64::NAN, 2.0],
+            [1.0, 2.0, f64::NAN],
+        ] {
+            assert!(maximum(&values).is_some_and(f64::is_nan), "{values:?}");
+        }
+    }
 }

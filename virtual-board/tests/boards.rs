@@ -4,6 +4,7 @@ use aplomb::health::Flags;
 use virtual_board::board::BOARDS;
 use virtual_board::faults::{Fault, FaultKind, ScheduledFault};
 use virtual_board::flight::{Outcome, Run};
+use virtual_board::summary::larger;
 
 /// Flies each board's own image so long, with this fault, if any.
 fn fly_all(seconds: f64, fault: Option<Fault>, check: impl Fn(&str, &Outcome)) {
@@ -83,7 +84,7 @@ fn every_board_s_clocks_are_as_before_when_its_crystal_has_died() {
         let drift_us = errors_us
             .iter()
             .map(|error_us| (error_us - first_us).abs())
-            .fold(0.0, f64::max);
+            .fold(0.0, larger);
         assert!(drift_us <= 1.0, "{name}: {drift_us} us");
         for sample in outcome.samples() {
             let has_died = sample.snapshot.flags.contains(Flags::INTERNAL_CLOCK);

@@ -16,6 +16,7 @@ use virtual_board::flight::{Outcome, Run};
 use virtual_board::kit::Kit;
 use virtual_board::outputs;
 use virtual_board::schedule::Schedule;
+use virtual_board::summary::larger;
 
 fn fly(seconds: f64, schedule: &str) -> Outcome {
     let schedule = Schedule::parse("test", schedule).unwrap();
@@ -234,19 +235,19 @@ fn fly_by_internal_oscillator(error: f64, crystal_dies: &str) -> Outcome {
 }
 
 /// The largest error of a valid tilt by the larger of 5° and six σ, of which it must be below 1.
+/// NaN if one of them is no number.
 fn worst_broken_promise(outcome: &Outcome) -> f64 {
     let ratios = outcome.samples().iter().filter_map(|sample| {
         let (snapshot, truth) = (sample.snapshot, sample.edge?.truth.attitude?);
         let q = snapshot.attitude;
         let [w, x, y, z] = [q.w, q.x, q.y, q.z].map(f64::from);
         let error_rad = inclination_error_rad(Quaternion { w, x, y, z }, truth);
-        let allowed_rad = 5_f64
-            .to_radians()
-            .max(6.0 * f64::from(snapshot.tilt_sigma_rad()));
+        let six_sigma_rad = 6.0 * f64::from(snapshot.tilt_sigma_rad());
+        let allowed_rad = larger(5_f64.to_radians(), six_sigma_rad);
         let is_valid = snapshot.flags.contains(Flags::VALID);
         is_valid.then_some(error_rad / allowed_rad)
     });
-    ratios.fold(0.0, f64::max)
+    ratios.fold(0.0, larger)
 }
 
 #[test]

@@ -9,6 +9,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::Instant;
 
 use common::firmware;
+use virtual_board::summary::larger;
 
 fn folder(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
@@ -185,7 +186,7 @@ fn a_recording_arms_the_module_as_its_column_says() {
     let gap = armed
         .windows(2)
         .map(|pair| pair[1] - pair[0])
-        .fold(0.0, f64::max);
+        .fold(0.0, larger);
     assert!(gap < 0.0015, "{gap}");
     // A command that the module does not follow is reported.
     let faults = folder("armed-flood").join("faults.txt");

@@ -49,7 +49,9 @@ fn a_compass_delays_no_attitude_and_loses_no_sample() {
         let outcome = pooled_run().kit(kit).seconds(8.0).run().unwrap();
         let summary = &outcome.summary;
         assert!(
-            summary.edge_to_attitude_us_max <= Some(395.0),
+            summary
+                .edge_to_attitude_us_max
+                .is_some_and(|it| it <= 395.0),
             "{summary:?}"
         );
         assert_eq!(summary.missed, 0, "{kit:?}");

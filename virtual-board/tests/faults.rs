@@ -285,7 +285,10 @@ fn no_crystal() {
     assert_recovered(&outcome);
     assert_eq!(outcome.summary.missed, 0);
     assert!(
-        outcome.summary.timestamp_error_us_max <= Some(1.0),
+        outcome
+            .summary
+            .timestamp_error_us_max
+            .is_some_and(|it| it <= 1.0),
         "the emulated internal oscillator is exact"
     );
     let flags = |outcome: &Outcome| {

@@ -696,7 +696,10 @@ fn interrupts_at_8_khz_starve_nobody() {
             samples.len()
         );
         let gap_ns = samples.windows(2).map(|pair| pair[1] - pair[0]).max();
-        assert!(gap_ns <= Some(longest_ns), "{faults}: {gap_ns:?}");
+        assert!(
+            gap_ns.is_some_and(|it| it <= longest_ns),
+            "{faults}: {gap_ns:?}"
+        );
     }
 }
 

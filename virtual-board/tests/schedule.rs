@@ -41,7 +41,10 @@ fn a_flooded_uart_and_a_probe_pulled_off_change_neither_samples_nor_times() {
         assert_eq!(outcome.summary.missed, 0, "{fault}");
         assert!(times(&outcome) == times(&undisturbed), "{fault}");
         assert!(
-            outcome.summary.timestamp_error_us_max <= Some(1.0),
+            outcome
+                .summary
+                .timestamp_error_us_max
+                .is_some_and(|it| it <= 1.0),
             "{fault}: {:?}",
             outcome.summary
         );

@@ -21,6 +21,7 @@ mod setup;
 mod size;
 mod step;
 mod test;
+mod tools;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

@@ -7,7 +7,7 @@ use crate::build::{self, BOARDS, Board, Firmware};
 use crate::setup::{self, Toolchain};
 use crate::{
     agree, api, c_library, cost, examples, faults, package, panics, python, recordings, results,
-    rigs, size, step,
+    rigs, size, step, tools,
 };
 
 /// Runs all checks and tests.
@@ -163,6 +163,7 @@ fn test_on_host(
             let work = format!("tests with recordings of {set}");
             step::skip(&work, &recordings::absence(&folder.join(set)));
         }
+        tools::report_absent()?;
         let mut test = step::host_cargo("test");
         // Each test runs in the folder of its package.
         let folder = std::path::absolute(&folder).map_err(|error| error.to_string())?;

@@ -851,3 +851,40 @@ fn the_heading_is_known_with_any_axis_straight_down() {
         }
     }
 }
+
+/// With an unknown bias no turn is known well enough, and those before it are in question too.
+#[test]
+fn no_turns_count_while_the_bias_is_unknown() {
+    use crate::estimator::filter::Filter as _;
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    for _ in 0..200 {
+        flight.tumble(0.1);
+        assert!(!flight.estimator.filter().is_bias_known());
+        assert_eq!(flight.heading.verified_s, 0.0, "{} us", flight.t_us);
+    }
+    flight.rest(5.0);
+    flight.tumble(5.0);
+    assert!(flight.heading.verified_s > 0.0);
+    let filter = flight.estimator.filter_mut();
+    filter.set_bias(Vector3::ZERO, radians(5.0));
+    flight.tumble(1.0);
+    assert!(!flight.estimator.filter().is_bias_known());
+    assert_eq!(flight.heading.verified_s, 0.0);
+}
+
+/// The next run would subtract it from readings that are corrected already.
+#[test]
+fn a_calibrated_compass_has_no_hard_iron_to_keep() {
+    for (knowledge, has_iron) in [
+        (CompassKnowledge::Factory, true),
+        (CompassKnowledge::HardIron, true),
+        (CompassKnowledge::Calibrated, false),
+    ] {
+        let mut flight = Flight::new(70.0, knowledge);
+        flight.rest(2.0);
+        flight.tumble(20.0);
+        assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+        let found = flight.heading.certain_hard_iron_ut();
+        assert_eq!(found.is_some(), has_iron, "{knowledge:?}");
+    }
+}

@@ -469,3 +469,32 @@ fn a_slow_turn_is_no_rest() {
         }
     }
 }
+
+/// σ of the bias may be large after contradictions, or in a changing temperature. A slow turn is
+/// then within the gate, and must not be measured as the bias at once.
+#[test]
+fn a_rest_measures_no_bias_far_from_that_of_the_last_rest_at_once() {
+    // Degrees a second, and whether the next rest may measure it at once.
+    for (rate_deg_s, is_near) in [(0.3, true), (2.0, false)] {
+        let mut world = World::at_rest(Quaternion::IDENTITY);
+        let mut estimator = estimator();
+        world.run(&mut estimator, 3_000);
+        assert!(estimator.filter().is_bias_known());
+        estimator
+            .filter_mut()
+            .set_added_bias_walk(square(radians(5.0)));
+        world.rate_rad_s = Vector3::new(0.0, 0.0, radians(rate_deg_s));
+        for step in 0..250 {
+            world.run(&mut estimator, 10);
+            let bias_deg_s = degrees(filter(&estimator).bias_rad_s().z);
+            assert!(is_near || bias_deg_s.abs() < 0.5, "{step}: {bias_deg_s}");
+        }
+        let sigma_deg_s = degrees(filter(&estimator).largest_bias_sigma_rad_s());
+        assert!(
+            is_near || sigma_deg_s > 1.0,
+            "the gate is wide: {sigma_deg_s}"
+        );
+        let bias_deg_s = degrees(filter(&estimator).bias_rad_s().z);
+        assert!(!is_near || bias_deg_s > 0.1, "{bias_deg_s}");
+    }
+}
