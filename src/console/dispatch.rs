@@ -23,7 +23,8 @@ use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Matrix3, Mount, NoiseModel};
 use crate::compass::{self, Choice};
-use crate::settings::{Preferences, Record, storage};
+use crate::settings::storage::{self, Loaded};
+use crate::settings::{Preferences, Record};
 use crate::telemetry;
 
 /// Console: parses lines, runs their commands, and writes the answers.
@@ -35,6 +36,8 @@ pub struct Console {
     working: Record,
     /// Record in flash.
     stored: Record,
+    /// True if the start found a problem in flash, until a save succeeds.
+    has_problem: bool,
     /// Mount without a stored one.
     default_mount: Mount,
     /// Choice of the compass without a stored one.
@@ -48,21 +51,21 @@ pub struct Console {
 }
 
 impl Console {
-    /// Creates a console with the record from flash, and replaces impossible preferences by their
-    /// defaults.
+    /// Creates a console with the content of the flash at start, and replaces impossible
+    /// preferences by their defaults. After a problem there, the record counts as unsaved.
     ///
     /// `noise` and `sample_rate_hz` describe the configured sensor. `default_mount` is in use while
     /// the record has no mount, and `default_compass` while there is no record. `is_armed` is true
     /// after a reset of an armed module.
     pub fn new(
-        stored: Option<Record>,
+        loaded: Loaded,
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
         default_compass: Choice,
         is_armed: bool,
     ) -> Self {
-        let stored = stored.unwrap_or(Record::with_compass(default_compass));
+        let stored = (loaded.record).unwrap_or(Record::with_compass(default_compass));
         Self {
             line: LineAssembler::new(),
             errors: LineErrors::new(),
@@ -71,6 +74,7 @@ impl Console {
                 ..stored
             },
             stored,
+            has_problem: loaded.problem.is_some(),
             default_mount,
             default_compass,
             is_armed,
@@ -99,9 +103,10 @@ impl Console {
         &self.stored
     }
 
-    /// Returns whether the record in use differs from the one in flash.
+    /// Returns whether a save is due: the record in use differs from the one in flash, or the start
+    /// found a problem there.
     pub fn has_unsaved(&self) -> bool {
-        !storage::has_same_bytes(&self.working, &self.stored)
+        self.has_problem || !storage::has_same_bytes(&self.working, &self.stored)
     }
 
     /// Returns whether the module is armed.
@@ -399,7 +404,7 @@ impl Console {
         Some(procedure.name())
     }
 
-    /// Starts to store the working record, if it has changed.
+    /// Starts to store the working record, if a save is due.
     fn save(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         if !self.has_unsaved() {
             return reply.ok(format_args!(
@@ -421,6 +426,7 @@ impl Console {
     fn finish_job(&mut self, job: Job, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
         if job == Job::Save && outcome.is_ok {
             self.stored = self.working;
+            self.has_problem = false;
         }
         let name = job_name(job);
         let kind = if outcome.is_ok {

@@ -452,6 +452,30 @@ fn saves_alternate_and_the_same_record_erases_nothing() {
     }
 }
 
+/// Every problem that `load` reports ends with one save, of the active record too.
+#[test]
+fn a_save_ends_every_problem() {
+    let mut both_damaged = 0;
+    for (name_a, a, _) in prior_contents() {
+        for (name_b, b, _) in prior_contents() {
+            let mut flash = Nor::blank();
+            flash.set(0, &a);
+            flash.set(1, &b);
+            let loaded = load(&mut flash);
+            both_damaged += u8::from(loaded.problem == Some(LoadProblem::BothDamaged));
+            let record = loaded.record.unwrap_or_default();
+            assert_eq!(save(&mut flash, &record), Ok(()));
+            let expected = Loaded {
+                record: Some(record),
+                problem: None,
+            };
+            assert_eq!(load(&mut flash), expected, "{name_a}, {name_b}");
+        }
+    }
+    // Seven of the contents are damaged.
+    assert_eq!(both_damaged, 7 * 7);
+}
+
 /// Record of a later firmware: one number more.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Later {
