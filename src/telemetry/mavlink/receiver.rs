@@ -3,14 +3,15 @@
 //! A frame begins with 0xFD, which no printable text contains, and holds its length. A candidate
 //! with a wrong checksum is no frame: its first byte goes to the text, and the search starts again
 //! with the second. A candidate that stays incomplete for [`FRAME_TIMEOUT_US`] is treated alike, so
-//! that a typed line reaches the console after any noise. The checksum of an unknown message cannot
+//! that a typed line reaches the console after any noise. That time counts only once all received
+//! bytes are read: the rest of a frame may wait for longer in the ring. The checksum of an unknown message cannot
 //! be checked; such a frame is dropped whole.
 
 use ::mavlink::{MessageData, calculate_crc, dialects::common};
 
 use super::wire::Command;
 
-/// Longest pause between two bytes of a frame, µs.
+/// Longest pause between two bytes of a frame, µs, while none waits to be read.
 pub const FRAME_TIMEOUT_US: u64 = 100_000;
 
 /// STX, then length, flags (2), sequence, system, component, message (3).
@@ -49,6 +50,7 @@ impl Received {
 pub(super) struct Receiver {
     bytes: [u8; CAPACITY],
     length: usize,
+    /// Time at which the last byte was read, µs.
     last_us: u64,
 }
 
@@ -82,7 +84,6 @@ impl Receiver {
         text: &mut impl FnMut(u8),
         frame: &mut impl FnMut(&Received),
     ) {
-        self.poll(now_us, text, frame);
         self.last_us = now_us;
         if let Some(place) = self.bytes.get_mut(self.length) {
             *place = byte;
@@ -91,7 +92,7 @@ impl Receiver {
         self.process(text, frame);
     }
 
-    /// Passes on a candidate as text after the timeout.
+    /// Passes on a candidate as text after the timeout. Call it when all received bytes are read.
     pub(super) fn poll(
         &mut self,
         now_us: u64,

@@ -93,6 +93,12 @@ impl Bench {
         }
     }
 
+    /// Finds no received byte.
+    fn poll(&mut self) {
+        let text = &mut self.text;
+        self.session.poll(self.now_us, &mut |byte| text.push(byte));
+    }
+
     fn send(&mut self, message: &MavMessage) {
         self.send_bytes(frame(message).raw_bytes());
     }
@@ -868,10 +874,7 @@ fn lines_of_text_pass_between_frames_and_after_noise() {
     bench.send_bytes(b"\xFD\x20\x00\x00format text\n");
     assert_eq!(bench.text, b"");
     bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
-    let text = &mut bench.text;
-    bench
-        .session
-        .poll(bench.now_us, &mut |byte| text.push(byte));
+    bench.poll();
     assert_eq!(bench.text, b"\xFD\x20\x00\x00format text\n");
     bench.text.clear();
     // A frame inside an incomplete heartbeat is found.
@@ -881,6 +884,29 @@ fn lines_of_text_pass_between_frames_and_after_noise() {
     bench.send_bytes(b"status\n");
     assert!(bench.text.ends_with(b"status\n"));
     assert_eq!(bench.receive_all(2048).len(), 1);
+}
+
+/// At 9600 baud the output of an attitude takes 166 ms. Received bytes are read after that.
+#[test]
+fn a_frame_whose_rest_waits_behind_the_output_is_whole() {
+    let mut bench = Bench::new();
+    let request = [148.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let request = frame(&command(MavCmd::MAV_CMD_REQUEST_MESSAGE, request));
+    let bytes = request.raw_bytes();
+    for at in 1..bytes.len() {
+        let (start, rest) = bytes.split_at(at);
+        bench.send_bytes(start);
+        bench.poll();
+        bench.now_us += 166_000;
+        bench.send_bytes(rest);
+        bench.poll();
+        assert_eq!(
+            bench.text, b"",
+            "read in two parts, the first of {at} bytes"
+        );
+        assert_eq!(bench.session.inbox.replies.len(), 2, "version and result");
+        bench.session.inbox.replies.clear();
+    }
 }
 
 const FRAME_TIMEOUT_US_AND_MORE: u64 = super::super::receiver::FRAME_TIMEOUT_US + 1;
@@ -966,6 +992,7 @@ proptest! {
         let mut bench = Bench::new();
         bench.send_bytes(&noise);
         bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+        bench.poll();
         let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
         let unsupported = MavResult::MAV_RESULT_UNSUPPORTED;
             let expected = acknowledgement(MavCmd::MAV_CMD_DO_SET_MODE, unsupported);
