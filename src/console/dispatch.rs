@@ -27,10 +27,15 @@ use crate::settings::storage::{self, Loaded};
 use crate::settings::{Preferences, Record};
 use crate::telemetry;
 
+/// Pause after which noise does not belong to the line that follows, µs.
+const NOISE_PAUSE_US: u32 = 1_000_000;
+
 /// Console: parses lines, runs their commands, and writes the answers.
 #[derive(Debug)]
 pub struct Console {
     line: LineAssembler,
+    /// Time of the last received byte, or of the last that was garbled, µs.
+    heard_at_us: u32,
     errors: LineErrors,
     /// Record in use.
     working: Record,
@@ -68,6 +73,7 @@ impl Console {
         let stored = (loaded.record).unwrap_or(Record::with_compass(default_compass));
         Self {
             line: LineAssembler::new(),
+            heard_at_us: 0,
             errors: LineErrors::new(),
             working: Record {
                 preferences: usable_preferences(stored.preferences),
@@ -140,6 +146,7 @@ impl Console {
         let reply = &mut Reply(output);
         if module.take_reception_error() {
             self.line.discard_line();
+            self.heard_at_us = now_us;
         }
         if let Some(job) = self.job {
             let outcome = module.take_outcome()?;
@@ -544,7 +551,7 @@ impl Console {
         ))
     }
 
-    /// Reads bytes until one ends a line that gets an answer.
+    /// Reads bytes until one ends a line that gets an answer. Noise is forgotten after a pause.
     fn read(
         &mut self,
         now_us: u32,
@@ -552,6 +559,7 @@ impl Console {
         reply: &mut Reply<'_>,
     ) -> Option<Kind> {
         while let Some(byte) = module.receive() {
+            self.heard_at_us = now_us;
             let command: Result<Command, ParseError> = match self.line.push(byte) {
                 None => continue,
                 Some(Ok(line)) => line.parse(),
@@ -567,6 +575,9 @@ impl Console {
                 }
                 Err(_) => self.errors.drop_line(),
             }
+        }
+        if now_us.wrapping_sub(self.heard_at_us) >= NOISE_PAUSE_US {
+            self.line.forget_noise();
         }
         None
     }

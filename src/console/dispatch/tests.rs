@@ -443,6 +443,40 @@ fn save_writes_an_unchanged_record_after_a_problem_at_start() {
     }
 }
 
+/// A byte of noise does not cost the command that is typed a second later. Half a command is none,
+/// whatever the pause.
+#[test]
+fn noise_is_forgotten_after_a_pause_and_half_a_line_is_not() {
+    let mut harness = Harness::new();
+    let answer = "ok help: ";
+    for noise in [&b"\xFD"[..], b"\xFE\xFF\x00", b"help\n\xFD", b"\xFF\n\xFD"] {
+        harness.receive(noise);
+        harness.wait(1.1);
+        assert!(harness.ask("help").starts_with(answer), "{noise:?}");
+    }
+    harness.module.has_error = true;
+    harness.wait(1.1);
+    assert!(
+        harness.ask("help").starts_with(answer),
+        "an error of the port"
+    );
+    for (start, pause_s) in [("\u{FD}", 0.9), ("dis\u{FD}", 5.0), ("\u{FD}dis", 5.0)] {
+        harness.receive(start);
+        harness.wait(pause_s);
+        harness.receive("arm\n");
+        harness.wait(0.1);
+        assert!(!harness.console.is_armed(), "{start:?}, {pause_s} s");
+        harness.wait(2.0);
+    }
+    harness.receive("dis");
+    harness.poll();
+    harness.module.has_error = true;
+    harness.wait(5.0);
+    harness.receive("arm\n");
+    harness.wait(0.1);
+    assert!(!harness.console.is_armed());
+}
+
 #[test]
 fn forget_returns_to_the_compass_of_the_build() {
     for choice in [Choice::Off, Choice::Named(PartId::Hmc5883l)] {

@@ -29,8 +29,8 @@
 //! # Text commands meanwhile
 //!
 //! The console stays within reach. The `receiver` passes on every byte outside MAVLink frames as
-//! text, so that `format text`, on a line of its own, always returns to text. The console's answers
-//! come as STATUSTEXT.
+//! text, so that `format text`, on a line of its own, returns to text. Noise may cost the line that
+//! follows within a second, so a program repeats it. The console's answers come as STATUSTEXT.
 //!
 //! # The `mavlink` crate
 //!

@@ -5,7 +5,8 @@
 //! with the second. A candidate that stays incomplete for [`FRAME_TIMEOUT_US`] is treated alike, so
 //! that a typed line reaches the console after any noise. That time counts only once all received
 //! bytes are read: the rest of a frame may wait for longer in the ring. The checksum of an unknown message cannot
-//! be checked; such a frame is dropped whole.
+//! be checked; such a frame is dropped whole. A frame of MAVLink 1, which begins with 0xFE, is
+//! dropped too.
 
 use ::mavlink::{MessageData, calculate_crc, dialects::common};
 
@@ -22,6 +23,10 @@ const SIGNATURE_LENGTH: usize = 13;
 const CAPACITY: usize = HEADER_LENGTH + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH;
 
 const START: u8 = 0xFD;
+/// First byte of a frame of MAVLink 1; its length follows.
+const START_1: u8 = 0xFE;
+/// Length of a frame of MAVLink 1 without its payload.
+const OVERHEAD_1: usize = 8;
 /// Incompatibility flag: a signature follows.
 const SIGNED: u8 = 0x01;
 
@@ -142,6 +147,12 @@ impl Receiver {
     #[inline(never)]
     fn classify(&self) -> Verdict {
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        if bytes.first() == Some(&START_1) {
+            return match bytes.get(1).map(|length| OVERHEAD_1 + usize::from(*length)) {
+                Some(whole) if bytes.len() >= whole => Verdict::Frame(whole, None),
+                _ => Verdict::Incomplete,
+            };
+        }
         if bytes.first() != Some(&START) {
             return Verdict::NoFrame;
         }

@@ -5,7 +5,7 @@ use ::mavlink::dialects::common::{
     MavResult, MavState, MavSysStatusSensor, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
     PARAM_SET_DATA,
 };
-use ::mavlink::{MavlinkVersion, Message};
+use ::mavlink::{MAVLinkV1MessageRaw, MavlinkVersion, Message};
 use proptest::prelude::*;
 
 use super::super::action::Calibrate;
@@ -906,6 +906,33 @@ fn a_frame_whose_rest_waits_behind_the_output_is_whole() {
         );
         assert_eq!(bench.session.inbox.replies.len(), 2, "version and result");
         bench.session.inbox.replies.clear();
+    }
+}
+
+#[test]
+fn frames_of_version_1_are_skipped_and_not_answered() {
+    let mut bench = Bench::new();
+    let mut sent = MAVLinkV1MessageRaw::new();
+    for message in [
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
+        command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]),
+    ] {
+        sent.serialize_message(STATION, &message);
+        for _ in 0..12 {
+            bench.send_bytes(sent.raw_bytes());
+        }
+        bench.send_bytes(b"format text\n");
+        assert_eq!(bench.text, b"format text\n");
+        bench.text.clear();
+        // Version 2 is answered between them, and a frame that stops ends.
+        let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+        assert_eq!(bench.answers(&request).len(), 1);
+        let (start, _) = sent.raw_bytes().split_at(9);
+        bench.send_bytes(start);
+        bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+        bench.poll();
+        assert_eq!(bench.text, start);
+        bench.text.clear();
     }
 }
 
