@@ -36,17 +36,19 @@ pub(super) struct Received {
     pub(super) system: u8,
     pub(super) component: u8,
     pub(super) message: u32,
+    /// Payload, with the zeros that a sender leaves out.
     payload: [u8; LONGEST_PAYLOAD],
-    length: usize,
 }
 
 /// Length of the longest payload that is read: COMMAND_INT's.
 const LONGEST_PAYLOAD: usize = 36;
 
 impl Received {
-    /// Returns the payload, without the zeros that a sender leaves out.
-    pub(super) fn payload(&self) -> &[u8] {
-        self.payload.get(..self.length).unwrap_or_default()
+    /// Returns the `N` bytes of a field that begins at this byte of the payload; zeros if there are
+    /// fewer.
+    pub(super) fn field<const N: usize>(&self, at: usize) -> [u8; N] {
+        let bytes = self.payload.get(at..).and_then(<[u8]>::first_chunk);
+        bytes.copied().unwrap_or([0; N])
     }
 }
 
@@ -206,7 +208,6 @@ impl Receiver {
             component,
             message,
             payload: [0; LONGEST_PAYLOAD],
-            length: length.min(LONGEST_PAYLOAD),
         };
         for (place, byte) in received.payload.iter_mut().zip(payload) {
             *place = *byte;

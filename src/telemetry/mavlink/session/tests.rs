@@ -147,6 +147,16 @@ fn frame(message: &MavMessage) -> MAVLinkV2MessageRaw {
     raw
 }
 
+/// A frame with this payload, which the crate need not know. `extra` is the seed of its checksum.
+fn frame_of(message: u8, extra: u8, payload: &[u8]) -> Vec<u8> {
+    let length = payload.len() as u8;
+    let mut bytes = vec![0xFD, length, 0, 0, 9, 255, 190, message, 0, 0];
+    bytes.extend(payload);
+    let checksum = ::mavlink::calculate_crc(&bytes[1..], extra);
+    bytes.extend(checksum.to_le_bytes());
+    bytes
+}
+
 /// Frames of a stream without other bytes, with their sequence numbers. The crate's own table
 /// checks the checksums.
 fn messages(mut bytes: &[u8]) -> Vec<(u8, MavMessage)> {
@@ -669,6 +679,20 @@ fn parameters_are_listed_read_and_set() {
         param_id: "MOUNT".into(),
     }));
     assert!(matches!(&by_name[..], [MavMessage::PARAM_VALUE(value)] if value.param_index == 3));
+}
+
+/// Some ground stations leave the type out.
+#[test]
+fn a_parameter_of_any_type_is_set() {
+    for kind in [0, 1, 9, 10, 255] {
+        let mut bench = Bench::new();
+        let raw = frame(&set("OUT_RATE_HZ", 20.0));
+        let mut payload = raw.payload().to_vec();
+        payload[22] = kind;
+        bench.send_bytes(&frame_of(23, 168, &payload));
+        let (_, action) = bench.session.take_action().expect("a change");
+        assert_eq!(action, Action::SetRate(20), "type {kind}");
+    }
 }
 
 #[test]
