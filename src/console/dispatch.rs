@@ -125,6 +125,12 @@ impl Console {
         self.job.is_some() || self.baud.is_changing()
     }
 
+    /// Returns whether a job, a procedure or a change of the baud rate is under way.
+    #[inline(never)]
+    pub fn is_working(&self) -> bool {
+        self.is_busy() || self.running().is_some()
+    }
+
     /// Returns the mount in use.
     #[inline(never)]
     pub fn mount(&self) -> Mount {

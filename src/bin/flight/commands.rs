@@ -128,12 +128,13 @@ impl Commands {
             && let Some((ticket, command)) = port.station.take_command()
         {
             let answered = console.execute(command, timebase::now(), &mut port, &mut answer.text);
+            let (is_working, is_armed) = (console.is_working(), console.is_armed());
             port.station
-                .answer(ticket, command, answered, console.is_busy());
+                .answer(ticket, command, answered, is_working, is_armed);
             kind = Some(answered);
         }
         let has_new_baud = port.station.session.take_has_frame() && console.confirm_baud();
-        if !console.is_busy() && console.running().is_none() {
+        if !console.is_working() {
             port.station.cancel_pending();
         }
         if kind.is_some() || has_new_baud {

@@ -83,7 +83,7 @@ impl Inbox {
     }
 
     /// Queues the change of a parameter. The answer is its value, changed or not, once the change
-    /// has run.
+    /// has run. Without room there is no answer, so that the station repeats the request.
     fn set_parameter(&mut self, frame: &Received, index: u16, value: f32) {
         let action = PARAMETERS
             .get(usize::from(index))
@@ -94,12 +94,12 @@ impl Inbox {
                 system: frame.system,
                 component: frame.component,
             };
-            if self.actions.push_back((ticket, action)).is_ok() {
-                return;
+            if self.actions.push_back((ticket, action)).is_err() {
+                self.dropped = self.dropped.saturating_add(1);
             }
-            self.dropped = self.dropped.saturating_add(1);
+        } else {
+            self.queue(Reply::Parameter(index));
         }
-        self.queue(Reply::Parameter(index));
     }
 
     /// Queues the action of a command, or answers it.
@@ -143,11 +143,15 @@ impl Inbox {
             REQUEST_MESSAGE if first == AUTOPILOT_VERSION_DATA::ID as f32 => {
                 Err(self.answer_version())
             }
-            REQUEST_MESSAGE
-                if first == PARAM_VALUE_DATA::ID as f32 && second == f32::from(second as u16) =>
-            {
-                self.queue(Reply::Parameter(second as u16));
-                Err(Outcome::Accepted)
+            REQUEST_MESSAGE if first == PARAM_VALUE_DATA::ID as f32 => {
+                let index = second as u16;
+                let is_known = usize::from(index) < PARAMETERS.len();
+                Err(if is_known && f32::from(index) == second {
+                    self.queue(Reply::Parameter(index));
+                    Outcome::Accepted
+                } else {
+                    Outcome::Denied
+                })
             }
             REQUEST_CAPABILITIES if first == 1.0 => Err(self.answer_version()),
             _ => Err(Outcome::Unsupported),

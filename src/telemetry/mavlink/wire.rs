@@ -10,6 +10,7 @@ use ::mavlink::dialects::common::{
 };
 use ::mavlink::{MavlinkVersion, MessageData, bytes_mut::BytesMut, error::ParserError};
 
+use super::action::Outcome;
 use super::receiver::Received;
 
 /// System of the module's address: the first, which ground stations expect.
@@ -20,7 +21,7 @@ pub const COMPONENT: u8 = 1;
 /// COMMAND_LONG or COMMAND_INT, which differ in the type of two parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Command {
-    /// Parameters 1 to 7.
+    /// Parameters 1 to 7; NaN if unused.
     pub(super) parameters: [f32; 7],
     pub(super) command: u16,
 }
@@ -38,10 +39,10 @@ impl Command {
         for (index, parameter) in parameters.iter_mut().enumerate() {
             let is_integer = frame.message == Self::INT && (index == 4 || index == 5);
             let bytes = frame.field(4 * index);
-            *parameter = if is_integer {
-                i32::from_le_bytes(bytes) as f32
-            } else {
-                f32::from_le_bytes(bytes)
+            *parameter = match i32::from_le_bytes(bytes) {
+                i32::MAX if is_integer => f32::NAN,
+                integer if is_integer => integer as f32,
+                _ => f32::from_le_bytes(bytes),
             };
         }
         Self {
@@ -116,8 +117,9 @@ impl MessageData for CommandAck {
         }
         bytes.put_u16_le(self.command);
         bytes.put_u8(self.result);
-        // Progress in percent and a second result: none.
-        bytes.put_u8(0);
+        // Progress in percent: unknown while there is some. No second result.
+        let is_in_progress = self.result == Outcome::InProgress.code();
+        bytes.put_u8(if is_in_progress { u8::MAX } else { 0 });
         bytes.put_i32_le(0);
         bytes.put_u8(self.target_system);
         bytes.put_u8(self.target_component);

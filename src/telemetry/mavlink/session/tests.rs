@@ -681,6 +681,62 @@ fn parameters_are_listed_read_and_set() {
     assert!(matches!(&by_name[..], [MavMessage::PARAM_VALUE(value)] if value.param_index == 3));
 }
 
+/// A station repeats a request without an answer. The old value would look like a refusal.
+#[test]
+fn parameters_beyond_the_queue_are_not_answered() {
+    let mut bench = Bench::new();
+    for rate_hz in 1..=10_u8 {
+        bench.send(&set("OUT_RATE_HZ", rate_hz.into()));
+    }
+    assert_eq!(bench.receive_all(2048), []);
+    assert_eq!(bench.session.dropped(), 6);
+    for rate_hz in 1..=4 {
+        let (_, action) = bench.session.take_action().expect("a change");
+        assert_eq!(action, Action::SetRate(rate_hz));
+    }
+    assert_eq!(bench.session.take_action(), None);
+}
+
+#[test]
+fn a_parameter_that_does_not_exist_is_denied() {
+    let mut bench = Bench::new();
+    let request = MavCmd::MAV_CMD_REQUEST_MESSAGE;
+    for index in [15.0, 99.0, 65_536.0, -1.0, 0.5, f32::NAN] {
+        let answers = bench.answers(&command(request, [22.0, index, 0.0, 0.0, 0.0, 0.0, 0.0]));
+        let denied = acknowledgement(request, MavResult::MAV_RESULT_DENIED);
+        assert_eq!(answers, [denied], "{index}");
+    }
+    let answers = bench.answers(&command(request, [22.0, 14.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
+    let [MavMessage::PARAM_VALUE(value), answer] = &answers[..] else {
+        panic!("{answers:?}");
+    };
+    assert_eq!(value.param_index, 14);
+    assert_eq!(
+        *answer,
+        acknowledgement(request, MavResult::MAV_RESULT_ACCEPTED)
+    );
+}
+
+/// Progress in percent, or 255 if it is unknown (common.xml).
+#[test]
+fn progress_is_unknown_while_an_action_goes_on() {
+    let mut bench = Bench::new();
+    bench.send(&command(
+        MavCmd::MAV_CMD_PREFLIGHT_STORAGE,
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ));
+    let (ticket, _) = bench.session.take_action().expect("an action");
+    for (outcome, progress) in [(Outcome::InProgress, 255), (Outcome::Accepted, 0)] {
+        bench.session.answer(ticket, outcome);
+        let Some(Reply::Acknowledge(answer)) = bench.session.inbox.replies.pop_front() else {
+            panic!("no answer");
+        };
+        let mut payload = [0; 10];
+        assert_eq!(answer.ser(MavlinkVersion::V2, &mut payload), 10);
+        assert_eq!(payload[3], progress);
+    }
+}
+
 /// Some ground stations leave the type out.
 #[test]
 fn a_parameter_of_any_type_is_set() {
@@ -788,6 +844,19 @@ fn calibration_is_requested_either_way_and_answered_by_the_owner() {
     }));
     let (_, action) = bench.session.take_action().expect("an action");
     assert_eq!(action, Action::Calibrate(Calibrate::Level));
+    // The largest integer is an unused parameter, like NaN among the floats.
+    bench.send(&MavMessage::COMMAND_INT(common::COMMAND_INT_DATA {
+        param1: 1.0,
+        param2: f32::NAN,
+        x: i32::MAX,
+        y: i32::MAX,
+        command: calibration,
+        target_system: 1,
+        target_component: 1,
+        ..common::COMMAND_INT_DATA::default()
+    }));
+    let (_, action) = bench.session.take_action().expect("an action");
+    assert_eq!(action, Action::Calibrate(Calibrate::Gyroscope));
 }
 
 #[test]
