@@ -38,9 +38,12 @@ pub(super) enum Reply {
 }
 
 impl Inbox {
-    /// Handles a frame.
+    /// Handles a frame. One from the module's own address is an echo, and is ignored.
     #[inline(never)]
     pub(super) fn take(&mut self, frame: &Received) {
+        if (frame.system, frame.component) == (SYSTEM, COMPONENT) {
+            return;
+        }
         self.has_frame = true;
         let target_at = match frame.message {
             Command::LONG | Command::INT => Command::TARGET_AT,

@@ -950,6 +950,26 @@ fn requests_to_others_are_not_answered() {
     }
 }
 
+/// A line that echoes, or another module at the same address, starts nothing.
+#[test]
+fn frames_from_the_module_s_own_address_are_ignored() {
+    let mut bench = Bench::new();
+    let message = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+    for (system_id, component_id, answers) in [(1, 1, 0), (1, 190, 1), (255, 1, 1)] {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        let header = MavHeader {
+            system_id,
+            component_id,
+            sequence: 9,
+        };
+        raw.serialize_message(header, &message);
+        bench.send_bytes(raw.raw_bytes());
+        assert_eq!(bench.session.take_has_frame(), answers > 0);
+        assert_eq!(bench.receive_all(2048).len(), answers);
+        assert_eq!(bench.text, b"");
+    }
+}
+
 #[test]
 fn lines_of_text_pass_between_frames_and_after_noise() {
     let mut bench = Bench::new();
