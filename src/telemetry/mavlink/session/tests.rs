@@ -601,6 +601,27 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
 }
 
 #[test]
+fn the_heading_of_the_hud_is_the_nearest_degree() {
+    let mut bench = Bench::new();
+    for (heading_deg, expected) in [
+        (0.0, 0),
+        (0.6, 1),
+        (270.4, 270),
+        (270.6, 271),
+        (359.4, 359),
+        (359.6, 0),
+    ] {
+        bench.snapshot.attitude = Quaternion::new(1.0, 0.0, 0.0, 0.0);
+        let heading = HeadingEstimate {
+            yaw_offset_rad: radians(heading_deg),
+            sigma_rad: radians(3.0),
+            is_valid: true,
+        };
+        assert_eq!(hud(&bench.snapshot, &heading).heading, expected);
+    }
+}
+
+#[test]
 fn a_compass_with_a_fault_is_present_and_not_healthy() {
     let compass = CompassStatus {
         fault: Some(compass::Fault::Absent(compass::PartId::Ak8963)),
