@@ -1,6 +1,7 @@
 //! Dispatch: receives lines, and runs the command of each.
 
 mod compass_commands;
+mod line_commands;
 
 #[cfg(test)]
 mod tests;
@@ -9,9 +10,7 @@ use core::fmt;
 
 use super::answer::{Kind, Reply, Triple};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{
-    BAUD_RATES, Calibrate, Command, CommandForms, Measure, MountChoice, ParseError,
-};
+use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
@@ -25,7 +24,6 @@ use crate::calibration::{Matrix3, Mount, NoiseModel};
 use crate::compass::{self, Choice};
 use crate::settings::storage::{self, Loaded};
 use crate::settings::{Preferences, Record};
-use crate::telemetry;
 
 /// Pause after which noise does not belong to the line that follows, µs.
 const NOISE_PAUSE_US: u32 = 1_000_000;
@@ -493,68 +491,6 @@ impl Console {
             Some(name) => reply.ok(format_args!("calibrate stop: \"{name}\" is given up")),
             None => reply.ok(format_args!("calibrate stop: nothing went on")),
         }
-    }
-
-    /// Sets format and rate, if the UART can carry them.
-    fn set_preferences(&mut self, preferences: Preferences, reply: &mut Reply<'_>) -> Kind {
-        let Preferences {
-            format,
-            rate_hz,
-            baud,
-        } = preferences;
-        let max_hz = telemetry::largest_rate_hz(format, baud);
-        if max_hz == 0 {
-            return reply.error(format_args!(
-                "{} takes more than {baud} baud: a higher baud rate first",
-                format.name()
-            ));
-        }
-        if u32::from(rate_hz) > max_hz {
-            let or_baud = match BAUD_RATES {
-                [.., highest] if baud >= highest => "",
-                _ => ", or a higher baud rate",
-            };
-            return reply.error(format_args!(
-                "{rate_hz} lines of {} a second are too many for {baud} baud: \
-                 \"rate {max_hz}\" fits{or_baud}",
-                format.name()
-            ));
-        }
-        self.working.preferences = preferences;
-        reply.ok(format_args!(
-            "{}, {rate_hz} a second; \"save\" keeps it",
-            format.name()
-        ))
-    }
-
-    /// Requests a change of the baud rate, if the new rate carries the format in use.
-    fn request_baud(&mut self, baud: u32, reply: &mut Reply<'_>) -> Kind {
-        let Preferences {
-            format,
-            rate_hz,
-            baud: before,
-        } = self.working.preferences;
-        let max_hz = telemetry::largest_rate_hz(format, baud);
-        if max_hz == 0 {
-            return reply.error(format_args!(
-                "{baud} baud are too few for {}: another format first",
-                format.name()
-            ));
-        }
-        if u32::from(rate_hz) > max_hz {
-            return reply.error(format_args!(
-                "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {max_hz}\" \
-                 first",
-                format.name()
-            ));
-        }
-        if baud == before {
-            return reply.ok(format_args!("baud {baud}: as before"));
-        }
-        self.baud = BaudChange::Requested(baud);
-        reply.ok(format_args!(
-            "baud {baud} from now on; say something at {baud} within 10 s, or it is {before} again"
-        ))
     }
 
     /// Reads bytes until one ends a line that gets an answer. Noise is forgotten after a pause.
