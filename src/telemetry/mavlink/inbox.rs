@@ -45,6 +45,7 @@ impl Inbox {
             return;
         }
         self.has_frame = true;
+        let payload = &frame.payload;
         let target_at = match frame.message {
             Command::LONG | Command::INT => Command::TARGET_AT,
             PARAM_REQUEST_LIST_DATA::ID | MISSION_REQUEST_LIST_DATA::ID => 0,
@@ -52,7 +53,7 @@ impl Inbox {
             PARAM_SET_DATA::ID => 4,
             _ => return,
         };
-        let [system, component] = frame.field(target_at);
+        let [system, component] = payload.field(target_at);
         if ![0, SYSTEM].contains(&system) || ![0, COMPONENT].contains(&component) {
             return;
         }
@@ -60,28 +61,28 @@ impl Inbox {
             PARAM_REQUEST_LIST_DATA::ID => self.lists_parameters = true,
             PARAM_REQUEST_READ_DATA::ID => {
                 // A negative index means that the name counts.
-                let index = u16::try_from(i16::from_le_bytes(frame.field(0)))
+                let index = u16::try_from(i16::from_le_bytes(payload.field(0)))
                     .ok()
-                    .or_else(|| Parameter::find(name(&frame.field(4))));
+                    .or_else(|| Parameter::find(name(&payload.field(4))));
                 if let Some(index) = index {
                     self.queue(Reply::Parameter(index));
                 }
             }
             PARAM_SET_DATA::ID => {
-                if let Some(index) = Parameter::find(name(&frame.field(6))) {
+                if let Some(index) = Parameter::find(name(&payload.field(6))) {
                     // The type does not count: all values are floats.
-                    self.set_parameter(frame, index, f32::from_le_bytes(frame.field(0)));
+                    self.set_parameter(frame, index, f32::from_le_bytes(payload.field(0)));
                 }
             }
             MISSION_REQUEST_LIST_DATA::ID => {
-                let [kind] = frame.field(2);
+                let [kind] = payload.field(2);
                 self.queue(Reply::NoMission {
                     system: frame.system,
                     component: frame.component,
                     kind,
                 });
             }
-            _ => self.command(frame, &Command::read(frame)),
+            _ => self.command(frame, &Command::read(frame.message, payload)),
         }
     }
 

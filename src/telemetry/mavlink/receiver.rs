@@ -4,13 +4,13 @@
 //! with a wrong checksum is no frame: its first byte goes to the text, and the search starts again
 //! with the second. A candidate that stays incomplete for [`FRAME_TIMEOUT_US`] is treated alike, so
 //! that a typed line reaches the console after any noise. That time counts only once all received
-//! bytes are read: the rest of a frame may wait for longer in the ring. The checksum of an unknown message cannot
-//! be checked; such a frame is dropped whole. A frame of MAVLink 1, which begins with 0xFE, is
-//! dropped too.
+//! bytes are read: the rest of a frame may wait for longer in the ring. The checksum of an unknown
+//! message cannot be checked; such a frame is dropped whole. A frame of MAVLink 1, which begins
+//! with 0xFE, is dropped too.
 
 use ::mavlink::{MessageData, calculate_crc, dialects::common};
 
-use super::wire::Command;
+use super::wire::{Command, Payload};
 
 /// Longest pause between two bytes of a frame, µs, while none waits to be read.
 pub const FRAME_TIMEOUT_US: u64 = 100_000;
@@ -36,20 +36,7 @@ pub(super) struct Received {
     pub(super) system: u8,
     pub(super) component: u8,
     pub(super) message: u32,
-    /// Payload, with the zeros that a sender leaves out.
-    payload: [u8; LONGEST_PAYLOAD],
-}
-
-/// Length of the longest payload that is read: COMMAND_INT's.
-const LONGEST_PAYLOAD: usize = 36;
-
-impl Received {
-    /// Returns the `N` bytes of a field that begins at this byte of the payload; zeros if there are
-    /// fewer.
-    pub(super) fn field<const N: usize>(&self, at: usize) -> [u8; N] {
-        let bytes = self.payload.get(at..).and_then(<[u8]>::first_chunk);
-        bytes.copied().unwrap_or([0; N])
-    }
+    pub(super) payload: Payload,
 }
 
 /// Buffer of bytes that may be a frame.
@@ -203,15 +190,12 @@ impl Receiver {
         if calculate_crc(checked, extra) != u16::from_le_bytes([*low, *high]) {
             return Verdict::NoFrame;
         }
-        let mut received = Received {
+        let received = Received {
             system,
             component,
             message,
-            payload: [0; LONGEST_PAYLOAD],
+            payload: Payload::new(payload),
         };
-        for (place, byte) in received.payload.iter_mut().zip(payload) {
-            *place = *byte;
-        }
         Verdict::Frame(whole, Some(received))
     }
 }

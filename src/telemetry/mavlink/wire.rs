@@ -1,9 +1,10 @@
 //! Wire types beyond those of the `mavlink` crate.
 //!
 //! The crate's commands are those of its dialect, but every command needs an answer: [`Command`]
-//! holds any. The crate rejects a request with a value that its enumerations lack, so requests are
-//! decoded by hand; the tests send those of the crate. [`Extended`] appends the fields of version 2. The crate's own option for them
-//! (0.21.0) pulls its code generator, which needs the standard library, into the firmware.
+//! holds any. The crate rejects a request with a value that its enumerations lack. So a [`Payload`]
+//! is decoded by hand; the tests send requests of the crate. [`Extended`] appends the fields of
+//! version 2. The crate's own option for them (0.21.0) pulls its code generator, which needs the
+//! standard library, into the firmware.
 
 use ::mavlink::dialects::common::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
@@ -11,12 +12,35 @@ use ::mavlink::dialects::common::{
 use ::mavlink::{MavlinkVersion, MessageData, bytes_mut::BytesMut, error::ParserError};
 
 use super::action::Outcome;
-use super::receiver::Received;
 
 /// System of the module's address: the first, which ground stations expect.
 pub const SYSTEM: u8 = 1;
 /// Component of the module's address: MAV_COMP_ID_AUTOPILOT1.
 pub const COMPONENT: u8 = 1;
+
+/// Length of the longest payload that is read, without its extensions: COMMAND_INT's.
+const LONGEST_PAYLOAD: usize = 36;
+
+/// Payload of a received message, with the zeros that a sender leaves out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Payload([u8; LONGEST_PAYLOAD]);
+
+impl Payload {
+    /// Creates a payload. Bytes beyond its capacity are left out.
+    pub(super) fn new(received: &[u8]) -> Self {
+        let mut bytes = [0; LONGEST_PAYLOAD];
+        for (place, byte) in bytes.iter_mut().zip(received) {
+            *place = *byte;
+        }
+        Self(bytes)
+    }
+
+    /// Returns the `N` bytes of the field at this place; zeros if there are fewer.
+    pub(super) fn field<const N: usize>(&self, at: usize) -> [u8; N] {
+        let bytes = self.0.get(at..).and_then(<[u8]>::first_chunk);
+        bytes.copied().unwrap_or([0; N])
+    }
+}
 
 /// COMMAND_LONG or COMMAND_INT, which differ in the type of two parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,12 +57,12 @@ impl Command {
     /// Place of the target in the payload: its system, then its component.
     pub(super) const TARGET_AT: usize = 30;
 
-    /// Decodes a command.
-    pub(super) fn read(frame: &Received) -> Self {
+    /// Decodes a command from this message.
+    pub(super) fn read(message: u32, payload: &Payload) -> Self {
         let mut parameters = [0.0; 7];
         for (index, parameter) in parameters.iter_mut().enumerate() {
-            let is_integer = frame.message == Self::INT && (index == 4 || index == 5);
-            let bytes = frame.field(4 * index);
+            let is_integer = message == Self::INT && (index == 4 || index == 5);
+            let bytes = payload.field(4 * index);
             *parameter = match i32::from_le_bytes(bytes) {
                 i32::MAX if is_integer => f32::NAN,
                 integer if is_integer => integer as f32,
@@ -47,7 +71,7 @@ impl Command {
         }
         Self {
             parameters,
-            command: u16::from_le_bytes(frame.field(28)),
+            command: u16::from_le_bytes(payload.field(28)),
         }
     }
 }
