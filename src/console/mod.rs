@@ -29,8 +29,8 @@
 //! has a probability of 2⁻⁴⁶ per byte: four letters between two line ends, with two kinds of
 //! line end. The line stores nothing unless a setting was changed before, by a person or by noise.
 //! Noise matches a command such as `rate 9` with 2⁻⁵⁹ per byte. A day of nothing but noise at
-//! 921,600 baud is 2³³ bytes: both happen in that order with a probability of 10⁻¹². After a start
-//! with a problem in flash, a `save` by noise stores the record in use, unchanged.
+//! 921,600 baud is 2³³ bytes: both happen in that order with a probability of 10⁻¹².
+//! After a start with a problem in flash, a `save` by noise stores the record in use, unchanged.
 //!
 //! Nor does the console answer noise line by line. It counts unreadable lines and reports them once
 //! a second. Answers to wrong commands have a budget of [`MAX_ERROR_ANSWERS`], which refills by two

@@ -45,8 +45,8 @@ pub struct Answer {
 
 impl Commands {
     /// Creates a console that reads from this receiver, with the content of the flash at start and
-    /// the record that was in use before a reset. It describes a sensor with this noise and rate. It is armed if
-    /// the module was armed before a reset.
+    /// the record that was in use before a reset. It describes a sensor with this noise and rate.
+    /// It is armed if the module was armed before a reset.
     pub fn new(
         receiver: Receiver,
         (loaded, kept): (Loaded, Option<Record>),

@@ -87,7 +87,7 @@ impl Nor {
 
     /// Leaves each changing bit of `range` old with one probability, and weak with another. An
     /// erase first programs all bits, so some of its bits are neither old nor new.
-    fn half_change(&mut self, range: core::ops::Range<usize>, new: &[u8], erases: bool) {
+    fn half_change(&mut self, range: Range<usize>, new: &[u8], erases: bool) {
         let (changes, weak, zeros) = (self.random() % 9, self.random() % 9, self.random() % 9);
         for (index, &new) in range.zip(new) {
             let old = self.bytes[index];
