@@ -12,6 +12,7 @@ use aplomb::health::WorkFigures;
 use aplomb::mpu6050::Part;
 use aplomb::pipeline::Settings;
 use aplomb::settings::CompassSettings;
+use aplomb::settings::storage::Loaded;
 use aplomb::telemetry;
 
 /// Runs the bytes through a console.
@@ -22,7 +23,7 @@ use aplomb::telemetry;
 pub fn run(bytes: &[u8]) {
     let settings = Settings::new(&Part::MPU_6050);
     let mut console = Console::new(
-        None,
+        Loaded::default(),
         settings.noise_model(),
         settings.sensor.sample_rate_hz(),
         Mount::Z_UP,

@@ -1,6 +1,7 @@
 //! Dispatch: receives lines, and runs the command of each.
 
 mod compass_commands;
+mod line_commands;
 
 #[cfg(test)]
 mod tests;
@@ -9,9 +10,7 @@ use core::fmt;
 
 use super::answer::{Kind, Reply, Triple};
 use super::baud::{BaudChange, BaudPoll};
-use super::command::{
-    BAUD_RATES, Calibrate, Command, CommandForms, Measure, MountChoice, ParseError,
-};
+use super::command::{Calibrate, Command, CommandForms, Measure, MountChoice, ParseError};
 use super::compass_procedure::{self, CompassProcedure};
 use super::line::LineAssembler;
 use super::line_errors::LineErrors;
@@ -23,18 +22,25 @@ use super::procedure_runner::ProcedureRunner;
 use super::status::{RecordText, Status};
 use crate::calibration::{Matrix3, Mount, NoiseModel};
 use crate::compass::{self, Choice};
-use crate::settings::{Preferences, Record, storage};
-use crate::telemetry;
+use crate::settings::storage::{self, Loaded};
+use crate::settings::{Preferences, Record};
+
+/// Pause after which noise does not belong to the line that follows, µs.
+const NOISE_PAUSE_US: u32 = 1_000_000;
 
 /// Console: parses lines, runs their commands, and writes the answers.
 #[derive(Debug)]
 pub struct Console {
     line: LineAssembler,
+    /// Time of the last received byte, or of the last that was garbled, µs.
+    heard_at_us: u32,
     errors: LineErrors,
     /// Record in use.
     working: Record,
     /// Record in flash.
     stored: Record,
+    /// True if the start found a problem in flash, until a save succeeds.
+    has_problem: bool,
     /// Mount without a stored one.
     default_mount: Mount,
     /// Choice of the compass without a stored one.
@@ -48,29 +54,31 @@ pub struct Console {
 }
 
 impl Console {
-    /// Creates a console with the record from flash, and replaces impossible preferences by their
-    /// defaults.
+    /// Creates a console with the content of the flash at start, and replaces impossible
+    /// preferences by their defaults. After a problem there, the record counts as unsaved.
     ///
     /// `noise` and `sample_rate_hz` describe the configured sensor. `default_mount` is in use while
     /// the record has no mount, and `default_compass` while there is no record. `is_armed` is true
     /// after a reset of an armed module.
     pub fn new(
-        stored: Option<Record>,
+        loaded: Loaded,
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
         default_compass: Choice,
         is_armed: bool,
     ) -> Self {
-        let stored = stored.unwrap_or(Record::with_compass(default_compass));
+        let stored = (loaded.record).unwrap_or(Record::with_compass(default_compass));
         Self {
             line: LineAssembler::new(),
+            heard_at_us: 0,
             errors: LineErrors::new(),
             working: Record {
                 preferences: usable_preferences(stored.preferences),
                 ..stored
             },
             stored,
+            has_problem: loaded.problem.is_some(),
             default_mount,
             default_compass,
             is_armed,
@@ -99,9 +107,10 @@ impl Console {
         &self.stored
     }
 
-    /// Returns whether the record in use differs from the one in flash.
+    /// Returns whether a save is due: the record in use differs from the one in flash, or the start
+    /// found a problem there.
     pub fn has_unsaved(&self) -> bool {
-        !storage::has_same_bytes(&self.working, &self.stored)
+        self.has_problem || !storage::has_same_bytes(&self.working, &self.stored)
     }
 
     /// Returns whether the module is armed.
@@ -112,6 +121,12 @@ impl Console {
     /// Returns whether commands have to wait: for a job's end, or for a change of the baud rate.
     pub const fn is_busy(&self) -> bool {
         self.job.is_some() || self.baud.is_changing()
+    }
+
+    /// Returns whether a job, a procedure or a change of the baud rate is under way.
+    #[inline(never)]
+    pub fn is_working(&self) -> bool {
+        self.is_busy() || self.running().is_some()
     }
 
     /// Returns the mount in use.
@@ -135,6 +150,7 @@ impl Console {
         let reply = &mut Reply(output);
         if module.take_reception_error() {
             self.line.discard_line();
+            self.heard_at_us = now_us;
         }
         if let Some(job) = self.job {
             let outcome = module.take_outcome()?;
@@ -399,7 +415,7 @@ impl Console {
         Some(procedure.name())
     }
 
-    /// Starts to store the working record, if it has changed.
+    /// Starts to store the working record, if a save is due.
     fn save(&mut self, module: &mut dyn Module, reply: &mut Reply<'_>) -> Kind {
         if !self.has_unsaved() {
             return reply.ok(format_args!(
@@ -421,6 +437,7 @@ impl Console {
     fn finish_job(&mut self, job: Job, outcome: &Outcome, reply: &mut Reply<'_>) -> Kind {
         if job == Job::Save && outcome.is_ok {
             self.stored = self.working;
+            self.has_problem = false;
         }
         let name = job_name(job);
         let kind = if outcome.is_ok {
@@ -476,69 +493,7 @@ impl Console {
         }
     }
 
-    /// Sets format and rate, if the UART can carry them.
-    fn set_preferences(&mut self, preferences: Preferences, reply: &mut Reply<'_>) -> Kind {
-        let Preferences {
-            format,
-            rate_hz,
-            baud,
-        } = preferences;
-        let max_hz = telemetry::largest_rate_hz(format, baud);
-        if max_hz == 0 {
-            return reply.error(format_args!(
-                "{} takes more than {baud} baud: a higher baud rate first",
-                format.name()
-            ));
-        }
-        if u32::from(rate_hz) > max_hz {
-            let or_baud = match BAUD_RATES {
-                [.., highest] if baud >= highest => "",
-                _ => ", or a higher baud rate",
-            };
-            return reply.error(format_args!(
-                "{rate_hz} lines of {} a second are too many for {baud} baud: \
-                 \"rate {max_hz}\" fits{or_baud}",
-                format.name()
-            ));
-        }
-        self.working.preferences = preferences;
-        reply.ok(format_args!(
-            "{}, {rate_hz} a second; \"save\" keeps it",
-            format.name()
-        ))
-    }
-
-    /// Requests a change of the baud rate, if the new rate carries the format in use.
-    fn request_baud(&mut self, baud: u32, reply: &mut Reply<'_>) -> Kind {
-        let Preferences {
-            format,
-            rate_hz,
-            baud: before,
-        } = self.working.preferences;
-        let max_hz = telemetry::largest_rate_hz(format, baud);
-        if max_hz == 0 {
-            return reply.error(format_args!(
-                "{baud} baud are too few for {}: another format first",
-                format.name()
-            ));
-        }
-        if u32::from(rate_hz) > max_hz {
-            return reply.error(format_args!(
-                "{baud} baud are too few for {rate_hz} lines of {} a second: \"rate {max_hz}\" \
-                 first",
-                format.name()
-            ));
-        }
-        if baud == before {
-            return reply.ok(format_args!("baud {baud}: as before"));
-        }
-        self.baud = BaudChange::Requested(baud);
-        reply.ok(format_args!(
-            "baud {baud} from now on; say something at {baud} within 10 s, or it is {before} again"
-        ))
-    }
-
-    /// Reads bytes until one ends a line that gets an answer.
+    /// Reads bytes until one ends a line that gets an answer. Noise is forgotten after a pause.
     fn read(
         &mut self,
         now_us: u32,
@@ -546,6 +501,7 @@ impl Console {
         reply: &mut Reply<'_>,
     ) -> Option<Kind> {
         while let Some(byte) = module.receive() {
+            self.heard_at_us = now_us;
             let command: Result<Command, ParseError> = match self.line.push(byte) {
                 None => continue,
                 Some(Ok(line)) => line.parse(),
@@ -561,6 +517,9 @@ impl Console {
                 }
                 Err(_) => self.errors.drop_line(),
             }
+        }
+        if now_us.wrapping_sub(self.heard_at_us) >= NOISE_PAUSE_US {
+            self.line.forget_noise();
         }
         None
     }

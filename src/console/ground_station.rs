@@ -78,12 +78,23 @@ impl GroundStation {
         None
     }
 
-    /// Sends the first answer to a command. `is_busy` is true if the console is busy with it.
+    /// Sends the first answer to a command, and before it the second one to a command that this one
+    /// has ended. `is_working` is true if the console has a job or procedure under way.
     #[inline(never)]
-    pub fn answer(&mut self, ticket: Ticket, command: Command, kind: Kind, is_busy: bool) {
+    pub fn answer(
+        &mut self,
+        ticket: Ticket,
+        command: Command,
+        kind: Kind,
+        is_working: bool,
+        is_armed: bool,
+    ) {
+        if !is_working {
+            self.cancel_pending();
+        }
         // An unchanged record is not written.
         let takes_time = match command {
-            Command::Save => is_busy,
+            Command::Save => is_working,
             Command::Calibrate(choice) => matches!(
                 choice,
                 Calibrate::Gyroscope
@@ -99,8 +110,9 @@ impl GroundStation {
                 Outcome::InProgress
             }
             Kind::Ok | Kind::Progress | Kind::Done => Outcome::Accepted,
-            Kind::Error => Outcome::NotNow,
-            Kind::Failed => Outcome::Failed,
+            // A later attempt may succeed.
+            Kind::Error if is_working || is_armed => Outcome::NotNow,
+            Kind::Error | Kind::Failed => Outcome::Failed,
         };
         self.session.answer(ticket, outcome);
     }
@@ -255,7 +267,7 @@ mod tests {
             assert_eq!(receive(&mut station, &bytes), b"");
             let (ticket, command) = station.take_command().expect("a command");
             assert_eq!(command, Command::Calibrate(Calibrate::Gyroscope));
-            station.answer(ticket, command, Kind::Ok, false);
+            station.answer(ticket, command, Kind::Ok, true, false);
             assert_eq!(results(&mut station), [MavResult::MAV_RESULT_IN_PROGRESS]);
             station.on_answer(Kind::Progress);
             assert_eq!(results(&mut station), []);
@@ -266,32 +278,54 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_command_is_temporarily_rejected_and_an_instant_one_accepted() {
+    fn a_calibration_that_a_command_ends_is_answered_before_it() {
+        let mut station = GroundStation::new();
+        let mut request = |parameter, is_working| {
+            let bytes = command_long(MavCmd::MAV_CMD_PREFLIGHT_CALIBRATION, parameter);
+            receive(&mut station, &bytes);
+            let (ticket, command) = station.take_command().expect("a command");
+            station.answer(ticket, command, Kind::Ok, is_working, false);
+            results(&mut station)
+        };
+        assert_eq!(request(1.0, true), [MavResult::MAV_RESULT_IN_PROGRESS]);
+        let expected = [
+            MavResult::MAV_RESULT_CANCELLED,
+            MavResult::MAV_RESULT_ACCEPTED,
+        ];
+        assert_eq!(request(0.0, false), expected);
+    }
+
+    #[test]
+    fn a_refused_command_is_rejected_for_a_while_or_has_failed() {
         let mut station = GroundStation::new();
         let bytes = command_long(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0);
-        for (kind, result) in [
-            (Kind::Error, MavResult::MAV_RESULT_TEMPORARILY_REJECTED),
-            (Kind::Ok, MavResult::MAV_RESULT_ACCEPTED),
+        let later = MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
+        for (kind, (is_working, is_armed), result) in [
+            (Kind::Error, (true, false), later),
+            (Kind::Error, (false, true), later),
+            (Kind::Error, (false, false), MavResult::MAV_RESULT_FAILED),
+            (Kind::Ok, (true, false), MavResult::MAV_RESULT_ACCEPTED),
+            (Kind::Ok, (false, true), MavResult::MAV_RESULT_ACCEPTED),
         ] {
             receive(&mut station, &bytes);
             let (ticket, command) = station.take_command().expect("a command");
             assert_eq!(command, Command::Arm);
-            station.answer(ticket, command, kind, false);
+            station.answer(ticket, command, kind, is_working, is_armed);
             assert_eq!(results(&mut station), [result]);
         }
     }
 
     #[test]
     fn a_save_takes_time_only_if_the_record_has_changed() {
-        let mut station = GroundStation::new();
         let bytes = command_long(MavCmd::MAV_CMD_PREFLIGHT_STORAGE, 1.0);
-        for (is_busy, result) in [
+        for (is_working, result) in [
             (true, MavResult::MAV_RESULT_IN_PROGRESS),
             (false, MavResult::MAV_RESULT_ACCEPTED),
         ] {
+            let mut station = GroundStation::new();
             receive(&mut station, &bytes);
             let (ticket, command) = station.take_command().expect("a command");
-            station.answer(ticket, command, Kind::Ok, is_busy);
+            station.answer(ticket, command, Kind::Ok, is_working, false);
             assert_eq!(results(&mut station), [result]);
         }
     }

@@ -3,6 +3,7 @@
 //! A line ends with CR, LF or both, and holds printable ASCII. A tab counts as a blank, and
 //! backspace removes the last character. A line that is too long, or has any other byte in it, is
 //! dropped whole: half a command is none.
+//! Noise alone, without a character, is forgotten after a pause.
 //!
 //! ```
 //! use aplomb::console::line::LineAssembler;
@@ -88,6 +89,14 @@ impl LineAssembler {
             self.length = 0;
         }
         self.error = Some(LineError::Unreadable);
+    }
+
+    /// Forgets the line under way if noise is all that it has. A line of which characters are left
+    /// stays dropped up to its end: half a command is none. Call it after a pause.
+    pub fn forget_noise(&mut self) {
+        if self.length == 0 && !self.is_complete {
+            self.error = None;
+        }
     }
 
     fn append(&mut self, byte: u8) {

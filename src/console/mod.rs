@@ -18,9 +18,9 @@
 //! | `ground_station` | turns MAVLink requests into commands |
 //!
 //! [`Console`] holds the *working record*, which is in use, and the *stored record*, which is in
-//! flash. Commands change the working record only; `save` makes it the stored one, and only if they
-//! differ. The console reaches the rest of the module through [`Module`], so that tests need no
-//! hardware.
+//! flash. Commands change the working record only. `save` makes it the stored one, and only if they
+//! differ or the start found a problem in flash. The console reaches the rest of the module through
+//! [`Module`], so that tests need no hardware.
 //!
 //! # Noise
 //!
@@ -30,6 +30,7 @@
 //! line end. The line stores nothing unless a setting was changed before, by a person or by noise.
 //! Noise matches a command such as `rate 9` with 2⁻⁵⁹ per byte. A day of nothing but noise at
 //! 921,600 baud is 2³³ bytes: both happen in that order with a probability of 10⁻¹².
+//! After a start with a problem in flash, a `save` by noise stores the record in use, unchanged.
 //!
 //! Nor does the console answer noise line by line. It counts unreadable lines and reports them once
 //! a second. Answers to wrong commands have a budget of [`MAX_ERROR_ANSWERS`], which refills by two

@@ -79,6 +79,7 @@ impl ProcedureRunner {
     }
 
     /// Continues the running procedure with the detector's progress. `now_us` may wrap.
+    #[inline(never)]
     pub(super) fn poll(
         &mut self,
         now_us: u32,

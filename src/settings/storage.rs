@@ -15,7 +15,7 @@
 //!
 //! [`load`] reports a body of a later version than this code reads; a save leaves that slot alone
 //! while the other one is free. Saving erases flash, which stalls the core of an STM32F4 for up to
-//! half a second: save at rest and on command only.
+//! half a second, and for twice that if both slots are erased: save at rest and on command only.
 //!
 //! ```
 //! use aplomb::settings::{Record, storage};
@@ -53,6 +53,7 @@
 //! ```
 
 use core::fmt;
+use core::ops::Range;
 
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use embedded_storage::nor_flash::{MultiwriteNorFlash, NorFlash};
@@ -64,12 +65,12 @@ use super::record::Record;
 pub const LONGEST_RECORD: usize = HEADER_LENGTH + BODY_CAPACITY;
 
 /// Content of the flash at start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Loaded<T = Record> {
     /// Active record, if there is one.
     pub record: Option<T>,
-    /// Problem of a slot. The other slot may hold a record nevertheless.
+    /// Problem of the slots. One of them may hold a record nevertheless. A save ends the problem.
     pub problem: Option<LoadProblem>,
 }
 
@@ -80,6 +81,8 @@ pub struct Loaded<T = Record> {
 pub enum LoadProblem {
     /// The content is not a whole record, as after a power cut during a save.
     Damaged,
+    /// Neither slot holds a whole record.
+    BothDamaged,
     /// The slot holds a whole record, newer than the active one, of a later version than this
     /// firmware reads.
     NewerFormat {
@@ -95,6 +98,9 @@ impl fmt::Display for LoadProblem {
         match self {
             Self::Damaged => {
                 formatter.write_str("one stored record is damaged, as by a power cut during a save")
+            }
+            Self::BothDamaged => {
+                formatter.write_str("both stored records are damaged: calibrate again, then save")
             }
             Self::NewerFormat { version } => write!(
                 formatter,
@@ -143,7 +149,8 @@ pub fn load<F: NorFlash>(flash: &mut F) -> Loaded {
     load_as(flash)
 }
 
-/// Makes `record` the active one, and reads it back. Erases nothing if it is active already.
+/// Makes `record` the active one, and reads it back. Erases nothing if it is active already, and
+/// the other slot is blank or has a record too.
 ///
 /// # Errors
 ///
@@ -209,8 +216,9 @@ pub(crate) fn has_same_bytes(left: &Record, right: &Record) -> bool {
 pub fn forget<F: NorFlash>(flash: &mut F) -> Result<(), F::Error> {
     let slots = [read(flash, 0), read(flash, 1)].map(|image| decode::<Record>(&image));
     let last = active_slot(&slots).unwrap_or(0);
-    erase(flash, 1 - last)?;
-    erase(flash, last)
+    let other = 1 - last;
+    erase(flash, other..other + 1)?;
+    erase(flash, last..last + 1)
 }
 
 /// Length of the header, in bytes.
@@ -259,13 +267,14 @@ fn load_as<F: NorFlash, T: Stored>(flash: &mut F) -> Loaded<T> {
         }
         _ => None,
     });
-    let damaged = || {
-        let is_damaged = slots.iter().any(|slot| matches!(slot, Slot::Damaged));
-        is_damaged.then_some(LoadProblem::Damaged)
+    let damaged = match slots {
+        [Slot::Damaged, Slot::Damaged] => Some(LoadProblem::BothDamaged),
+        [Slot::Damaged, _] | [_, Slot::Damaged] => Some(LoadProblem::Damaged),
+        _ => None,
     };
     Loaded {
         record,
-        problem: newer_format.or_else(damaged),
+        problem: newer_format.or(damaged),
     }
 }
 
@@ -287,7 +296,9 @@ fn save_as<F: MultiwriteNorFlash, T: Stored>(
         // A power cut may have left bits of this record weak: right today, wrong tomorrow.
         // Programming the same bits again makes them firm before the other slot is erased.
         program(flash, index, &images[index]).map_err(SaveError::Flash)?;
-        if content(&images[index]) == content(&image) {
+        let other = &slots[1 - index];
+        let is_sound = matches!(other, Slot::Blank | Slot::Valid { .. });
+        if is_sound && content(&images[index]) == content(&image) {
             return Ok(());
         }
     }
@@ -296,8 +307,11 @@ fn save_as<F: MultiwriteNorFlash, T: Stored>(
         None if slots[1].sequence() < slots[0].sequence() => 1,
         None => 0,
     };
+    // Without a record of any format, a damaged slot is erased too. No later save would reach it.
+    let is_damaged = sequence == 1 && slots.iter().any(|slot| matches!(slot, Slot::Damaged));
+    let erased = if is_damaged { 0..2 } else { target..target + 1 };
     // A slot that reads blank is erased too: an erase that was cut short may have left it so.
-    erase(flash, target).map_err(SaveError::Flash)?;
+    erase(flash, erased).map_err(SaveError::Flash)?;
     program(flash, target, &image).map_err(SaveError::Flash)?;
     if read(flash, target) == image {
         Ok(())
@@ -328,9 +342,8 @@ fn read<F: NorFlash>(flash: &mut F, index: usize) -> Image {
     }
 }
 
-fn erase<F: NorFlash>(flash: &mut F, index: usize) -> Result<(), F::Error> {
-    let start = start_of::<F>(index);
-    flash.erase(start, start + F::ERASE_SIZE as u32)
+fn erase<F: NorFlash>(flash: &mut F, slots: Range<usize>) -> Result<(), F::Error> {
+    flash.erase(start_of::<F>(slots.start), start_of::<F>(slots.end))
 }
 
 /// Programs an image without the erased words at its end.

@@ -259,6 +259,7 @@ mod tests {
             },
             Message::RecordLoaded,
             Message::RecordProblem(LoadProblem::Damaged),
+            Message::RecordProblem(LoadProblem::BothDamaged),
             Message::RecordProblem(LoadProblem::NewerFormat { version: u16::MAX }),
             Message::Restarted {
                 cause: ResetCause::Software,

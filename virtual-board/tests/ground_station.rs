@@ -22,6 +22,8 @@ const CALIBRATION: u16 = 241;
 const STORAGE: u16 = 245;
 /// MAV_CMD_COMPONENT_ARM_DISARM.
 const ARM: u16 = 400;
+/// MAV_CMD_REQUEST_MESSAGE.
+const REQUEST: u16 = 512;
 /// MAV_RESULT_ACCEPTED.
 const ACCEPTED: u8 = 0;
 /// MAV_RESULT_TEMPORARILY_REJECTED.
@@ -51,8 +53,13 @@ fn frame((message, seed): (u8, u8), payload: &[u8]) -> Vec<u8> {
 
 /// Returns a command with the first parameter 1, to the module.
 fn command(number: u16) -> Vec<u8> {
+    command_with(number, 1.0)
+}
+
+/// Returns a command with this first parameter, to the module.
+fn command_with(number: u16, parameter: f32) -> Vec<u8> {
     let mut payload = [0; 33];
-    payload[..4].copy_from_slice(&1.0_f32.to_le_bytes());
+    payload[..4].copy_from_slice(&parameter.to_le_bytes());
     payload[28..30].copy_from_slice(&number.to_le_bytes());
     payload[30] = 1;
     frame(COMMAND_LONG, &payload)
@@ -136,6 +143,45 @@ fn a_calibration_that_a_line_gives_up_is_cancelled() {
     }
     let goes_on = [(CALIBRATION, IN_PROGRESS)];
     assert_eq!(results(&run("status")), goes_on);
+}
+
+/// A calibration that another command ends is answered before that command.
+#[test]
+fn a_calibration_that_a_command_cancels_is_answered_first() {
+    for (number, parameter) in [(CALIBRATION, 0.0), (ARM, 1.0)] {
+        let outcome = pooled_run()
+            .seconds(2.5)
+            .motion(Rest::level())
+            .command(1.0, "format mavlink")
+            .send(1.5, &command(CALIBRATION))
+            .send(2.0, &command_with(number, parameter))
+            .run()
+            .unwrap();
+        let expected = [
+            (CALIBRATION, IN_PROGRESS),
+            (CALIBRATION, CANCELLED),
+            (number, ACCEPTED),
+        ];
+        assert_eq!(results(&outcome), expected);
+    }
+}
+
+/// While the output of an attitude takes 166 ms, requests wait in part. None is lost.
+#[test]
+fn no_request_is_lost_at_9600_baud() {
+    let requests = 20_u32;
+    let run = pooled_run()
+        .seconds(2.0 + 1.03 * f64::from(requests))
+        .motion(Rest::level())
+        .command(0.5, "rate 4")
+        .command(0.7, "baud 9600")
+        .command(1.0, "format mavlink");
+    let request = command_with(REQUEST, 148.0);
+    let run = (0..requests).fold(run, |run, nth| {
+        run.send(1.5 + 1.03 * f64::from(nth), &request)
+    });
+    let answered = results(&run.run().unwrap());
+    assert_eq!(answered, vec![(REQUEST, ACCEPTED); requests as usize]);
 }
 
 /// Text in a damaged frame that follows a change of the format is dropped, and does not run when

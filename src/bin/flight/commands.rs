@@ -12,6 +12,7 @@ use aplomb::console::answer::{ANSWER_CAPACITY, Kind};
 use aplomb::console::ground_station::GroundStation;
 use aplomb::estimator::Sample;
 use aplomb::fault::FaultClass;
+use aplomb::settings::storage::Loaded;
 use aplomb::settings::{OutputFormat, Preferences, Record};
 use aplomb::telemetry::Output;
 use aplomb::telemetry::mavlink::Vehicle;
@@ -43,12 +44,12 @@ pub struct Answer {
 }
 
 impl Commands {
-    /// Creates a console that reads from this receiver, with the record from flash and the one that
-    /// was in use before a reset. It describes a sensor with this noise and rate. It is armed if
-    /// the module was armed before a reset.
+    /// Creates a console that reads from this receiver, with the content of the flash at start and
+    /// the record that was in use before a reset. It describes a sensor with this noise and rate.
+    /// It is armed if the module was armed before a reset.
     pub fn new(
         receiver: Receiver,
-        (stored, kept): (Option<Record>, Option<Record>),
+        (loaded, kept): (Loaded, Option<Record>),
         noise: NoiseModel,
         sample_rate_hz: f32,
         default_mount: Mount,
@@ -56,7 +57,7 @@ impl Commands {
         is_armed: bool,
     ) -> Self {
         let mut console = Console::new(
-            stored,
+            loaded,
             noise,
             sample_rate_hz,
             default_mount,
@@ -127,12 +128,13 @@ impl Commands {
             && let Some((ticket, command)) = port.station.take_command()
         {
             let answered = console.execute(command, timebase::now(), &mut port, &mut answer.text);
+            let (is_working, is_armed) = (console.is_working(), console.is_armed());
             port.station
-                .answer(ticket, command, answered, console.is_busy());
+                .answer(ticket, command, answered, is_working, is_armed);
             kind = Some(answered);
         }
         let has_new_baud = port.station.session.take_has_frame() && console.confirm_baud();
-        if !console.is_busy() && console.running().is_none() {
+        if !console.is_working() {
             port.station.cancel_pending();
         }
         if kind.is_some() || has_new_baud {

@@ -7,6 +7,7 @@ use aplomb::calibration::{Mount, NoiseModel};
 use aplomb::compass::Choice;
 use aplomb::console::answer::Kind;
 use aplomb::console::usable_preferences;
+use aplomb::settings::storage::Loaded;
 use aplomb::settings::{OutputFormat, Preferences, Record};
 use aplomb::telemetry::Output;
 use aplomb::telemetry::message::Severity;
@@ -32,14 +33,14 @@ impl Commands {
     /// Takes the record from flash, and ignores received bytes.
     pub fn new(
         _: Receiver,
-        (stored, kept): (Option<Record>, Option<Record>),
+        (loaded, kept): (Loaded, Option<Record>),
         _: NoiseModel,
         _: f32,
         _: Mount,
         default_compass: Choice,
         _: bool,
     ) -> Self {
-        let stored = kept.or(stored);
+        let stored = kept.or(loaded.record);
         let mut record = stored.unwrap_or(Record::with_compass(default_compass));
         if let OutputFormat::Mavlink | OutputFormat::Log = record.preferences.format {
             record.preferences.format = OutputFormat::Text;

@@ -179,22 +179,22 @@ mod app {
         // A sensor that the previous run has configured is only checked.
         let sensor = Sensor::new(bus, Config::DEFAULT, retained::kept().is_some());
         let mut flash = CalibrationFlash::new(device.FLASH);
-        let storage::Loaded { record, problem } = storage::load(&mut flash);
-        if let Some(problem) = problem {
+        let loaded = storage::load(&mut flash);
+        if let Some(problem) = loaded.problem {
             messages.post(Message::RecordProblem(problem));
         }
-        if record.is_some() {
+        if loaded.record.is_some() {
             messages.post(Message::RecordLoaded);
         }
         // A warm start restores the record in use, saved or not.
         let kept = kept_record::at_start();
-        let in_use = kept.or(record).unwrap_or_default();
+        let in_use = kept.or(loaded.record).unwrap_or_default();
         let baud = usable_preferences(in_use.preferences).baud;
         let (transmitter, receiver) =
             uart::start(device.USART2, baud, context.local.uart_buffer, &RING);
         let commands = Commands::new(
             receiver,
-            (record, kept),
+            (loaded, kept),
             SETTINGS.noise_model(),
             SETTINGS.sensor.sample_rate_hz(),
             MOUNT,

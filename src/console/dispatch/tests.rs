@@ -18,6 +18,7 @@ use crate::compass::{Choice, CompassStatus, PartId};
 use crate::health::{CoreFigures, Flags, SampleFigures, WorkFigures};
 use crate::mpu6050::Part;
 use crate::pipeline::Settings;
+use crate::settings::storage::LoadProblem;
 use crate::settings::{CompassSettings, OutputFormat};
 use crate::telemetry::heading::Line as HeadingLine;
 use crate::units::{MagneticField, degrees, radians};
@@ -165,9 +166,17 @@ impl Harness {
 
     /// Of a build with this default of the compass.
     fn with_compass(stored: Option<Record>, choice: Choice) -> Self {
+        let loaded = Loaded {
+            record: stored,
+            problem: None,
+        };
+        Self::with_loaded(loaded, choice)
+    }
+
+    fn with_loaded(loaded: Loaded, choice: Choice) -> Self {
         let noise = noise_model();
         Self {
-            console: Console::new(stored, noise, 1000.0, Mount::Z_UP, choice, false),
+            console: Console::new(loaded, noise, 1000.0, Mount::Z_UP, choice, false),
             module: FakeModule::default(),
             // The clock wraps soon.
             now_us: u32::MAX - 3_000_000,
@@ -406,6 +415,66 @@ fn save_writes_what_has_changed_and_nothing_else() {
     assert_eq!(harness.poll().as_deref(), Some("done save: stored"));
     assert_eq!(harness.console.stored(), &expected);
     assert_eq!(harness.ask("save"), nothing);
+}
+
+/// A damaged or newer record in flash lasts until something is written there.
+#[test]
+fn save_writes_an_unchanged_record_after_a_problem_at_start() {
+    for (record, problem) in [
+        (Some(full()), LoadProblem::Damaged),
+        (Some(full()), LoadProblem::NewerFormat { version: 9 }),
+        (None, LoadProblem::BothDamaged),
+    ] {
+        let problem = Some(problem);
+        let mut harness = Harness::with_loaded(Loaded { record, problem }, Choice::Auto);
+        for (is_ok, unsaved) in [(false, "unsaved=yes"), (true, "unsaved=no")] {
+            assert_eq!(
+                harness.ask("save"),
+                "ok save: the sensor stops for a second"
+            );
+            assert_eq!(harness.calls(), [Call::Begin(Job::Save)]);
+            harness.module.outcome = Some(Outcome::new(is_ok, "it ended"));
+            harness.poll();
+            let status = harness.ask("status");
+            assert!(status.contains(unsaved), "{problem:?}: {status}");
+        }
+        let nothing = "ok save: nothing has changed, nothing is written";
+        assert_eq!(harness.ask("save"), nothing);
+    }
+}
+
+/// A byte of noise does not cost the command that is typed a second later. Half a command is none,
+/// whatever the pause.
+#[test]
+fn noise_is_forgotten_after_a_pause_and_half_a_line_is_not() {
+    let mut harness = Harness::new();
+    let answer = "ok help: ";
+    for noise in [&b"\xFD"[..], b"\xFE\xFF\x00", b"help\n\xFD", b"\xFF\n\xFD"] {
+        harness.receive(noise);
+        harness.wait(1.1);
+        assert!(harness.ask("help").starts_with(answer), "{noise:?}");
+    }
+    harness.module.has_error = true;
+    harness.wait(1.1);
+    assert!(
+        harness.ask("help").starts_with(answer),
+        "an error of the port"
+    );
+    for (start, pause_s) in [("\u{FD}", 0.9), ("dis\u{FD}", 5.0), ("\u{FD}dis", 5.0)] {
+        harness.receive(start);
+        harness.wait(pause_s);
+        harness.receive("arm\n");
+        harness.wait(0.1);
+        assert!(!harness.console.is_armed(), "{start:?}, {pause_s} s");
+        harness.wait(2.0);
+    }
+    harness.receive("dis");
+    harness.poll();
+    harness.module.has_error = true;
+    harness.wait(5.0);
+    harness.receive("arm\n");
+    harness.wait(0.1);
+    assert!(!harness.console.is_armed());
 }
 
 #[test]

@@ -87,7 +87,7 @@ impl Nor {
 
     /// Leaves each changing bit of `range` old with one probability, and weak with another. An
     /// erase first programs all bits, so some of its bits are neither old nor new.
-    fn half_change(&mut self, range: core::ops::Range<usize>, new: &[u8], erases: bool) {
+    fn half_change(&mut self, range: Range<usize>, new: &[u8], erases: bool) {
         let (changes, weak, zeros) = (self.random() % 9, self.random() % 9, self.random() % 9);
         for (index, &new) in range.zip(new) {
             let old = self.bytes[index];
@@ -450,6 +450,30 @@ fn saves_alternate_and_the_same_record_erases_nothing() {
         assert_eq!(flash.erases, 0);
         assert_eq!(load(&mut flash).record, Some(record(number)));
     }
+}
+
+/// Every problem that `load` reports ends with one save, of the active record too.
+#[test]
+fn a_save_ends_every_problem() {
+    let mut both_damaged = 0;
+    for (name_a, a, _) in prior_contents() {
+        for (name_b, b, _) in prior_contents() {
+            let mut flash = Nor::blank();
+            flash.set(0, &a);
+            flash.set(1, &b);
+            let loaded = load(&mut flash);
+            both_damaged += u8::from(loaded.problem == Some(LoadProblem::BothDamaged));
+            let record = loaded.record.unwrap_or_default();
+            assert_eq!(save(&mut flash, &record), Ok(()));
+            let expected = Loaded {
+                record: Some(record),
+                problem: None,
+            };
+            assert_eq!(load(&mut flash), expected, "{name_a}, {name_b}");
+        }
+    }
+    // Seven of the contents are damaged.
+    assert_eq!(both_damaged, 7 * 7);
 }
 
 /// Record of a later firmware: one number more.

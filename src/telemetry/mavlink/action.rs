@@ -47,7 +47,7 @@ pub enum Outcome {
     Accepted,
     /// The action has begun; another answer follows.
     InProgress,
-    /// The module is armed or busy: try again later.
+    /// The module is armed or busy: the station may repeat the request later.
     NotNow,
     /// The parameters are not valid.
     Denied,

@@ -1,16 +1,16 @@
 //! Inbox: decodes requests, answers the simple ones, and queues the others as actions.
 
+use ::mavlink::MessageData;
 use ::mavlink::dialects::common::{
     AUTOPILOT_VERSION_DATA, MISSION_REQUEST_LIST_DATA, PARAM_REQUEST_LIST_DATA,
     PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
-use ::mavlink::{MavlinkVersion, MessageData};
 use heapless::Deque;
 
 use super::action::{Action, Calibrate, Outcome, Request, Ticket};
 use super::parameter::{PARAMETERS, Parameter};
 use super::receiver::Received;
-use super::wire::{COMPONENT, Command, CommandAck, Extended, SYSTEM};
+use super::wire::{COMPONENT, Command, CommandAck, SYSTEM};
 
 /// Requests without an answer, and answers to send.
 #[derive(Debug, Clone)]
@@ -38,73 +38,56 @@ pub(super) enum Reply {
 }
 
 impl Inbox {
-    /// Handles a frame.
+    /// Handles a frame. One from the module's own address is an echo, and is ignored.
     #[inline(never)]
     pub(super) fn take(&mut self, frame: &Received) {
+        if (frame.system, frame.component) == (SYSTEM, COMPONENT) {
+            return;
+        }
         self.has_frame = true;
-        let payload = frame.payload();
-        let version = MavlinkVersion::V2;
-        let is_ours = |system: u8, component: u8| {
-            [0, SYSTEM].contains(&system) && [0, COMPONENT].contains(&component)
+        let payload = &frame.payload;
+        let target_at = match frame.message {
+            Command::LONG | Command::INT => Command::TARGET_AT,
+            PARAM_REQUEST_LIST_DATA::ID | MISSION_REQUEST_LIST_DATA::ID => 0,
+            PARAM_REQUEST_READ_DATA::ID => 2,
+            PARAM_SET_DATA::ID => 4,
+            _ => return,
         };
+        let [system, component] = payload.field(target_at);
+        if ![0, SYSTEM].contains(&system) || ![0, COMPONENT].contains(&component) {
+            return;
+        }
         match frame.message {
-            Command::LONG | Command::INT => {
-                if let Some(command) = Command::read(frame.message, payload)
-                    && is_ours(command.target_system, command.target_component)
-                {
-                    self.command(frame, &command);
-                }
-            }
-            PARAM_REQUEST_LIST_DATA::ID => {
-                if let Ok(request) = PARAM_REQUEST_LIST_DATA::deser(version, payload)
-                    && is_ours(request.target_system, request.target_component)
-                {
-                    self.lists_parameters = true;
-                }
-            }
+            PARAM_REQUEST_LIST_DATA::ID => self.lists_parameters = true,
             PARAM_REQUEST_READ_DATA::ID => {
-                if let Ok(request) = PARAM_REQUEST_READ_DATA::deser(version, payload)
-                    && is_ours(request.target_system, request.target_component)
-                {
-                    // A negative index means that the name counts.
-                    let index = u16::try_from(request.param_index)
-                        .ok()
-                        .or_else(|| Parameter::find(name(&request.param_id)));
-                    if let Some(index) = index {
-                        self.queue(Reply::Parameter(index));
-                    }
+                // A negative index means that the name counts.
+                let index = u16::try_from(i16::from_le_bytes(payload.field(0)))
+                    .ok()
+                    .or_else(|| Parameter::find(name(&payload.field(4))));
+                if let Some(index) = index {
+                    self.queue(Reply::Parameter(index));
                 }
             }
             PARAM_SET_DATA::ID => {
-                if let Ok(request) = PARAM_SET_DATA::deser(version, payload)
-                    && is_ours(request.target_system, request.target_component)
-                    && let Some(index) = Parameter::find(name(&request.param_id))
-                {
-                    self.set_parameter(frame, index, request.param_value);
+                if let Some(index) = Parameter::find(name(&payload.field(6))) {
+                    // The type does not count: all values are floats.
+                    self.set_parameter(frame, index, f32::from_le_bytes(payload.field(0)));
                 }
             }
             MISSION_REQUEST_LIST_DATA::ID => {
-                type List = Extended<MISSION_REQUEST_LIST_DATA, 1>;
-                if let Ok(request) = List::deser(version, payload)
-                    && is_ours(
-                        request.message.target_system,
-                        request.message.target_component,
-                    )
-                {
-                    let [kind] = request.extension;
-                    self.queue(Reply::NoMission {
-                        system: frame.system,
-                        component: frame.component,
-                        kind,
-                    });
-                }
+                let [kind] = payload.field(2);
+                self.queue(Reply::NoMission {
+                    system: frame.system,
+                    component: frame.component,
+                    kind,
+                });
             }
-            _ => {}
+            _ => self.command(frame, &Command::read(frame.message, payload)),
         }
     }
 
     /// Queues the change of a parameter. The answer is its value, changed or not, once the change
-    /// has run.
+    /// has run. Without room there is no answer, so that the station repeats the request.
     fn set_parameter(&mut self, frame: &Received, index: u16, value: f32) {
         let action = PARAMETERS
             .get(usize::from(index))
@@ -115,12 +98,12 @@ impl Inbox {
                 system: frame.system,
                 component: frame.component,
             };
-            if self.actions.push_back((ticket, action)).is_ok() {
-                return;
+            if self.actions.push_back((ticket, action)).is_err() {
+                self.dropped = self.dropped.saturating_add(1);
             }
-            self.dropped = self.dropped.saturating_add(1);
+        } else {
+            self.queue(Reply::Parameter(index));
         }
-        self.queue(Reply::Parameter(index));
     }
 
     /// Queues the action of a command, or answers it.
@@ -164,11 +147,15 @@ impl Inbox {
             REQUEST_MESSAGE if first == AUTOPILOT_VERSION_DATA::ID as f32 => {
                 Err(self.answer_version())
             }
-            REQUEST_MESSAGE
-                if first == PARAM_VALUE_DATA::ID as f32 && second == f32::from(second as u16) =>
-            {
-                self.queue(Reply::Parameter(second as u16));
-                Err(Outcome::Accepted)
+            REQUEST_MESSAGE if first == PARAM_VALUE_DATA::ID as f32 => {
+                let index = second as u16;
+                let is_known = usize::from(index) < PARAMETERS.len();
+                Err(if is_known && f32::from(index) == second {
+                    self.queue(Reply::Parameter(index));
+                    Outcome::Accepted
+                } else {
+                    Outcome::Denied
+                })
             }
             REQUEST_CAPABILITIES if first == 1.0 => Err(self.answer_version()),
             _ => Err(Outcome::Unsupported),

@@ -222,9 +222,10 @@ pub(super) fn imu(
 #[inline(never)]
 pub(super) fn hud(snapshot: &Snapshot, heading: &HeadingEstimate) -> VFR_HUD_DATA {
     let degrees = HeadingLine::new(snapshot, heading).heading_deg;
+    // In [0, 360) before it is rounded.
+    let rounded = (degrees + 0.5) as i16;
     VFR_HUD_DATA {
-        // Below 360.
-        heading: degrees as i16,
+        heading: if rounded < 360 { rounded } else { 0 },
         ..VFR_HUD_DATA::DEFAULT
     }
 }

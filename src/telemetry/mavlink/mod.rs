@@ -29,16 +29,17 @@
 //! # Text commands meanwhile
 //!
 //! The console stays within reach. The `receiver` passes on every byte outside MAVLink frames as
-//! text, so that `format text`, on a line of its own, always returns to text. The console's answers
-//! come as STATUSTEXT.
+//! text, so that `format text`, on a line of its own, returns to text. Noise may cost the line that
+//! follows within a second, so a program repeats it. The console's answers come as STATUSTEXT.
 //!
 //! # The `mavlink` crate
 //!
-//! Types, field order, checksums and enumerations are those of the `mavlink` crate, dialect
+//! Sent types, field order, checksums and enumerations are those of the `mavlink` crate, dialect
 //! `common`. It costs 4 KiB of flash more than code by hand, and up to 240 instructions a message
 //! (Cortex-M4F, ten messages out and six in): a load of 0.05 % at 150 messages a second. That does
 //! not outweigh a definition that others maintain and test. `wire` adds what the crate's types
-//! cannot hold: a command that its dialect lacks, and the fields that version 2 appended.
+//! cannot hold: a command that its dialect lacks, and the fields that version 2 appended. Requests
+//! are decoded by hand, so that a value which the crate does not know costs no answer.
 //!
 //! ```
 //! use aplomb::estimator::Sample;

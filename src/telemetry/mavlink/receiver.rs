@@ -3,14 +3,16 @@
 //! A frame begins with 0xFD, which no printable text contains, and holds its length. A candidate
 //! with a wrong checksum is no frame: its first byte goes to the text, and the search starts again
 //! with the second. A candidate that stays incomplete for [`FRAME_TIMEOUT_US`] is treated alike, so
-//! that a typed line reaches the console after any noise. The checksum of an unknown message cannot
-//! be checked; such a frame is dropped whole.
+//! that a typed line reaches the console after any noise. That time counts only once all received
+//! bytes are read: the rest of a frame may wait for longer in the ring. The checksum of an unknown
+//! message cannot be checked; such a frame is dropped whole. A frame of MAVLink 1, which begins
+//! with 0xFE, is dropped too.
 
 use ::mavlink::{MessageData, calculate_crc, dialects::common};
 
-use super::wire::Command;
+use super::wire::{Command, Payload};
 
-/// Longest pause between two bytes of a frame, µs.
+/// Longest pause between two bytes of a frame, µs, while none waits to be read.
 pub const FRAME_TIMEOUT_US: u64 = 100_000;
 
 /// STX, then length, flags (2), sequence, system, component, message (3).
@@ -21,6 +23,10 @@ const SIGNATURE_LENGTH: usize = 13;
 const CAPACITY: usize = HEADER_LENGTH + 255 + CHECKSUM_LENGTH + SIGNATURE_LENGTH;
 
 const START: u8 = 0xFD;
+/// First byte of a frame of MAVLink 1; its length follows.
+const START_1: u8 = 0xFE;
+/// Length of a frame of MAVLink 1 without its payload.
+const OVERHEAD_1: usize = 8;
 /// Incompatibility flag: a signature follows.
 const SIGNED: u8 = 0x01;
 
@@ -30,18 +36,7 @@ pub(super) struct Received {
     pub(super) system: u8,
     pub(super) component: u8,
     pub(super) message: u32,
-    payload: [u8; LONGEST_PAYLOAD],
-    length: usize,
-}
-
-/// Length of the longest payload that is read: COMMAND_INT's.
-const LONGEST_PAYLOAD: usize = 36;
-
-impl Received {
-    /// Returns the payload, without the zeros that a sender leaves out.
-    pub(super) fn payload(&self) -> &[u8] {
-        self.payload.get(..self.length).unwrap_or_default()
-    }
+    pub(super) payload: Payload,
 }
 
 /// Buffer of bytes that may be a frame.
@@ -49,6 +44,7 @@ impl Received {
 pub(super) struct Receiver {
     bytes: [u8; CAPACITY],
     length: usize,
+    /// Time at which the last byte was read, µs.
     last_us: u64,
 }
 
@@ -82,7 +78,6 @@ impl Receiver {
         text: &mut impl FnMut(u8),
         frame: &mut impl FnMut(&Received),
     ) {
-        self.poll(now_us, text, frame);
         self.last_us = now_us;
         if let Some(place) = self.bytes.get_mut(self.length) {
             *place = byte;
@@ -91,7 +86,7 @@ impl Receiver {
         self.process(text, frame);
     }
 
-    /// Passes on a candidate as text after the timeout.
+    /// Passes on a candidate as text after the timeout. Call it when all received bytes are read.
     pub(super) fn poll(
         &mut self,
         now_us: u64,
@@ -141,6 +136,12 @@ impl Receiver {
     #[inline(never)]
     fn classify(&self) -> Verdict {
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
+        if bytes.first() == Some(&START_1) {
+            return match bytes.get(1).map(|length| OVERHEAD_1 + usize::from(*length)) {
+                Some(whole) if bytes.len() >= whole => Verdict::Frame(whole, None),
+                _ => Verdict::Incomplete,
+            };
+        }
         if bytes.first() != Some(&START) {
             return Verdict::NoFrame;
         }
@@ -189,16 +190,12 @@ impl Receiver {
         if calculate_crc(checked, extra) != u16::from_le_bytes([*low, *high]) {
             return Verdict::NoFrame;
         }
-        let mut received = Received {
+        let received = Received {
             system,
             component,
             message,
-            payload: [0; LONGEST_PAYLOAD],
-            length: length.min(LONGEST_PAYLOAD),
+            payload: Payload::new(payload),
         };
-        for (place, byte) in received.payload.iter_mut().zip(payload) {
-            *place = *byte;
-        }
         Verdict::Frame(whole, Some(received))
     }
 }

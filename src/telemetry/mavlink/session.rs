@@ -98,7 +98,8 @@ impl Session {
             .push(byte, now_us, text, &mut |frame| inbox.take(frame));
     }
 
-    /// Passes an incomplete frame to `text` after a timeout of 0.1 s. Call it at least as often.
+    /// Passes an incomplete frame to `text` after a timeout of 0.1 s. Call it whenever no received
+    /// byte is left. Between two calls the rest of a frame may wait for any time.
     pub fn poll(&mut self, now_us: u64, text: &mut impl FnMut(u8)) {
         let inbox = &mut self.inbox;
         self.receiver

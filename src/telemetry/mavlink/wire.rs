@@ -1,57 +1,78 @@
 //! Wire types beyond those of the `mavlink` crate.
 //!
 //! The crate's commands are those of its dialect, but every command needs an answer: [`Command`]
-//! holds any. [`Extended`] appends the fields of version 2. The crate's own option for them
-//! (0.21.0) pulls its code generator, which needs the standard library, into the firmware.
+//! holds any. The crate rejects a request with a value that its enumerations lack. So a [`Payload`]
+//! is decoded by hand; the tests send requests of the crate. [`Extended`] appends the fields of
+//! version 2. The crate's own option for them (0.21.0) pulls its code generator, which needs the
+//! standard library, into the firmware.
 
 use ::mavlink::dialects::common::{
     COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA, MavMessage,
 };
-use ::mavlink::{
-    MavlinkVersion, MessageData, bytes::Bytes, bytes_mut::BytesMut, error::ParserError,
-};
+use ::mavlink::{MavlinkVersion, MessageData, bytes_mut::BytesMut, error::ParserError};
+
+use super::action::Outcome;
 
 /// System of the module's address: the first, which ground stations expect.
 pub const SYSTEM: u8 = 1;
 /// Component of the module's address: MAV_COMP_ID_AUTOPILOT1.
 pub const COMPONENT: u8 = 1;
 
+/// Length of the longest payload that is read, without its extensions: COMMAND_INT's.
+const LONGEST_PAYLOAD: usize = 36;
+
+/// Payload of a received message, with the zeros that a sender leaves out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Payload([u8; LONGEST_PAYLOAD]);
+
+impl Payload {
+    /// Creates a payload. Bytes beyond its capacity are left out.
+    pub(super) fn new(received: &[u8]) -> Self {
+        let mut bytes = [0; LONGEST_PAYLOAD];
+        for (place, byte) in bytes.iter_mut().zip(received) {
+            *place = *byte;
+        }
+        Self(bytes)
+    }
+
+    /// Returns the `N` bytes of the field at this place; zeros if there are fewer.
+    pub(super) fn field<const N: usize>(&self, at: usize) -> [u8; N] {
+        let bytes = self.0.get(at..).and_then(<[u8]>::first_chunk);
+        bytes.copied().unwrap_or([0; N])
+    }
+}
+
 /// COMMAND_LONG or COMMAND_INT, which differ in the type of two parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Command {
-    /// Parameters 1 to 7.
+    /// Parameters 1 to 7; NaN if unused.
     pub(super) parameters: [f32; 7],
     pub(super) command: u16,
-    pub(super) target_system: u8,
-    pub(super) target_component: u8,
 }
 
 impl Command {
     pub(super) const LONG: u32 = COMMAND_LONG_DATA::ID;
     pub(super) const INT: u32 = COMMAND_INT_DATA::ID;
 
-    /// Decodes a payload; zeros at its end may be missing.
-    pub(super) fn read(message: u32, payload: &[u8]) -> Option<Self> {
-        let mut whole = [0; 36];
-        for (place, byte) in whole.iter_mut().zip(payload) {
-            *place = *byte;
-        }
-        let mut bytes = Bytes::new(&whole);
+    /// Place of the target in the payload: its system, then its component.
+    pub(super) const TARGET_AT: usize = 30;
+
+    /// Decodes a command from this message.
+    pub(super) fn read(message: u32, payload: &Payload) -> Self {
         let mut parameters = [0.0; 7];
         for (index, parameter) in parameters.iter_mut().enumerate() {
             let is_integer = message == Self::INT && (index == 4 || index == 5);
-            *parameter = if is_integer {
-                bytes.get_i32_le().ok()? as f32
-            } else {
-                bytes.get_f32_le().ok()?
+            let bytes = payload.field(4 * index);
+            *parameter = match i32::from_le_bytes(bytes) {
+                i32::MAX if is_integer => f32::NAN,
+                integer if is_integer => integer as f32,
+                _ => f32::from_le_bytes(bytes),
             };
         }
-        Some(Self {
+        Self {
             parameters,
-            command: bytes.get_u16_le().ok()?,
-            target_system: bytes.get_u8().ok()?,
-            target_component: bytes.get_u8().ok()?,
-        })
+            command: u16::from_le_bytes(payload.field(28)),
+        }
     }
 }
 
@@ -120,8 +141,9 @@ impl MessageData for CommandAck {
         }
         bytes.put_u16_le(self.command);
         bytes.put_u8(self.result);
-        // Progress in percent and a second result: none.
-        bytes.put_u8(0);
+        // Progress in percent: unknown while there is some. No second result.
+        let is_in_progress = self.result == Outcome::InProgress.code();
+        bytes.put_u8(if is_in_progress { u8::MAX } else { 0 });
         bytes.put_i32_le(0);
         bytes.put_u8(self.target_system);
         bytes.put_u8(self.target_component);

@@ -5,7 +5,7 @@ use ::mavlink::dialects::common::{
     MavResult, MavState, MavSysStatusSensor, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
     PARAM_SET_DATA,
 };
-use ::mavlink::{MavlinkVersion, Message};
+use ::mavlink::{MAVLinkV1MessageRaw, MavlinkVersion, Message};
 use proptest::prelude::*;
 
 use super::super::action::Calibrate;
@@ -93,6 +93,12 @@ impl Bench {
         }
     }
 
+    /// Finds no received byte.
+    fn poll(&mut self) {
+        let text = &mut self.text;
+        self.session.poll(self.now_us, &mut |byte| text.push(byte));
+    }
+
     fn send(&mut self, message: &MavMessage) {
         self.send_bytes(frame(message).raw_bytes());
     }
@@ -139,6 +145,16 @@ fn frame(message: &MavMessage) -> MAVLinkV2MessageRaw {
     let mut raw = MAVLinkV2MessageRaw::new();
     raw.serialize_message(STATION, message);
     raw
+}
+
+/// A frame with this payload, which the crate need not know. `extra` is the seed of its checksum.
+fn frame_of(message: u8, extra: u8, payload: &[u8]) -> Vec<u8> {
+    let length = payload.len() as u8;
+    let mut bytes = vec![0xFD, length, 0, 0, 9, 255, 190, message, 0, 0];
+    bytes.extend(payload);
+    let checksum = ::mavlink::calculate_crc(&bytes[1..], extra);
+    bytes.extend(checksum.to_le_bytes());
+    bytes
 }
 
 /// Frames of a stream without other bytes, with their sequence numbers. The crate's own table
@@ -585,6 +601,27 @@ fn a_valid_heading_is_the_yaw_and_others_are_not() {
 }
 
 #[test]
+fn the_heading_of_the_hud_is_the_nearest_degree() {
+    let mut bench = Bench::new();
+    for (heading_deg, expected) in [
+        (0.0, 0),
+        (0.6, 1),
+        (270.4, 270),
+        (270.6, 271),
+        (359.4, 359),
+        (359.6, 0),
+    ] {
+        bench.snapshot.attitude = Quaternion::new(1.0, 0.0, 0.0, 0.0);
+        let heading = HeadingEstimate {
+            yaw_offset_rad: radians(heading_deg),
+            sigma_rad: radians(3.0),
+            is_valid: true,
+        };
+        assert_eq!(hud(&bench.snapshot, &heading).heading, expected);
+    }
+}
+
+#[test]
 fn a_compass_with_a_fault_is_present_and_not_healthy() {
     let compass = CompassStatus {
         fault: Some(compass::Fault::Absent(compass::PartId::Ak8963)),
@@ -663,6 +700,76 @@ fn parameters_are_listed_read_and_set() {
         param_id: "MOUNT".into(),
     }));
     assert!(matches!(&by_name[..], [MavMessage::PARAM_VALUE(value)] if value.param_index == 3));
+}
+
+/// A station repeats a request without an answer. The old value would look like a refusal.
+#[test]
+fn parameters_beyond_the_queue_are_not_answered() {
+    let mut bench = Bench::new();
+    for rate_hz in 1..=10_u8 {
+        bench.send(&set("OUT_RATE_HZ", rate_hz.into()));
+    }
+    assert_eq!(bench.receive_all(2048), []);
+    assert_eq!(bench.session.dropped(), 6);
+    for rate_hz in 1..=4 {
+        let (_, action) = bench.session.take_action().expect("a change");
+        assert_eq!(action, Action::SetRate(rate_hz));
+    }
+    assert_eq!(bench.session.take_action(), None);
+}
+
+#[test]
+fn a_parameter_that_does_not_exist_is_denied() {
+    let mut bench = Bench::new();
+    let request = MavCmd::MAV_CMD_REQUEST_MESSAGE;
+    for index in [15.0, 99.0, 65_536.0, -1.0, 0.5, f32::NAN] {
+        let answers = bench.answers(&command(request, [22.0, index, 0.0, 0.0, 0.0, 0.0, 0.0]));
+        let denied = acknowledgement(request, MavResult::MAV_RESULT_DENIED);
+        assert_eq!(answers, [denied], "{index}");
+    }
+    let answers = bench.answers(&command(request, [22.0, 14.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
+    let [MavMessage::PARAM_VALUE(value), answer] = &answers[..] else {
+        panic!("{answers:?}");
+    };
+    assert_eq!(value.param_index, 14);
+    assert_eq!(
+        *answer,
+        acknowledgement(request, MavResult::MAV_RESULT_ACCEPTED)
+    );
+}
+
+/// Progress in percent, or 255 if it is unknown (common.xml).
+#[test]
+fn progress_is_unknown_while_an_action_goes_on() {
+    let mut bench = Bench::new();
+    bench.send(&command(
+        MavCmd::MAV_CMD_PREFLIGHT_STORAGE,
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ));
+    let (ticket, _) = bench.session.take_action().expect("an action");
+    for (outcome, progress) in [(Outcome::InProgress, 255), (Outcome::Accepted, 0)] {
+        bench.session.answer(ticket, outcome);
+        let Some(Reply::Acknowledge(answer)) = bench.session.inbox.replies.pop_front() else {
+            panic!("no answer");
+        };
+        let mut payload = [0; 10];
+        assert_eq!(answer.ser(MavlinkVersion::V2, &mut payload), 10);
+        assert_eq!(payload[3], progress);
+    }
+}
+
+/// Some ground stations leave the type out.
+#[test]
+fn a_parameter_of_any_type_is_set() {
+    for kind in [0, 1, 9, 10, 255] {
+        let mut bench = Bench::new();
+        let raw = frame(&set("OUT_RATE_HZ", 20.0));
+        let mut payload = raw.payload().to_vec();
+        payload[22] = kind;
+        bench.send_bytes(&frame_of(23, 168, &payload));
+        let (_, action) = bench.session.take_action().expect("a change");
+        assert_eq!(action, Action::SetRate(20), "type {kind}");
+    }
 }
 
 #[test]
@@ -758,6 +865,19 @@ fn calibration_is_requested_either_way_and_answered_by_the_owner() {
     }));
     let (_, action) = bench.session.take_action().expect("an action");
     assert_eq!(action, Action::Calibrate(Calibrate::Level));
+    // The largest integer is an unused parameter, like NaN among the floats.
+    bench.send(&MavMessage::COMMAND_INT(common::COMMAND_INT_DATA {
+        param1: 1.0,
+        param2: f32::NAN,
+        x: i32::MAX,
+        y: i32::MAX,
+        command: calibration,
+        target_system: 1,
+        target_component: 1,
+        ..common::COMMAND_INT_DATA::default()
+    }));
+    let (_, action) = bench.session.take_action().expect("an action");
+    assert_eq!(action, Action::Calibrate(Calibrate::Gyroscope));
 }
 
 #[test]
@@ -851,6 +971,26 @@ fn requests_to_others_are_not_answered() {
     }
 }
 
+/// A line that echoes, or another module at the same address, starts nothing.
+#[test]
+fn frames_from_the_module_s_own_address_are_ignored() {
+    let mut bench = Bench::new();
+    let message = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+    for (system_id, component_id, answers) in [(1, 1, 0), (1, 190, 1), (255, 1, 1)] {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        let header = MavHeader {
+            system_id,
+            component_id,
+            sequence: 9,
+        };
+        raw.serialize_message(header, &message);
+        bench.send_bytes(raw.raw_bytes());
+        assert_eq!(bench.session.take_has_frame(), answers > 0);
+        assert_eq!(bench.receive_all(2048).len(), answers);
+        assert_eq!(bench.text, b"");
+    }
+}
+
 #[test]
 fn lines_of_text_pass_between_frames_and_after_noise() {
     let mut bench = Bench::new();
@@ -868,10 +1008,7 @@ fn lines_of_text_pass_between_frames_and_after_noise() {
     bench.send_bytes(b"\xFD\x20\x00\x00format text\n");
     assert_eq!(bench.text, b"");
     bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
-    let text = &mut bench.text;
-    bench
-        .session
-        .poll(bench.now_us, &mut |byte| text.push(byte));
+    bench.poll();
     assert_eq!(bench.text, b"\xFD\x20\x00\x00format text\n");
     bench.text.clear();
     // A frame inside an incomplete heartbeat is found.
@@ -881,6 +1018,56 @@ fn lines_of_text_pass_between_frames_and_after_noise() {
     bench.send_bytes(b"status\n");
     assert!(bench.text.ends_with(b"status\n"));
     assert_eq!(bench.receive_all(2048).len(), 1);
+}
+
+/// At 9600 baud the output of an attitude takes 166 ms. Received bytes are read after that.
+#[test]
+fn a_frame_whose_rest_waits_behind_the_output_is_whole() {
+    let mut bench = Bench::new();
+    let request = [148.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let request = frame(&command(MavCmd::MAV_CMD_REQUEST_MESSAGE, request));
+    let bytes = request.raw_bytes();
+    for at in 1..bytes.len() {
+        let (start, rest) = bytes.split_at(at);
+        bench.send_bytes(start);
+        bench.poll();
+        bench.now_us += 166_000;
+        bench.send_bytes(rest);
+        bench.poll();
+        assert_eq!(
+            bench.text, b"",
+            "read in two parts, the first of {at} bytes"
+        );
+        assert_eq!(bench.session.inbox.replies.len(), 2, "version and result");
+        bench.session.inbox.replies.clear();
+    }
+}
+
+#[test]
+fn frames_of_version_1_are_skipped_and_not_answered() {
+    let mut bench = Bench::new();
+    let mut sent = MAVLinkV1MessageRaw::new();
+    for message in [
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
+        command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]),
+    ] {
+        sent.serialize_message(STATION, &message);
+        for _ in 0..12 {
+            bench.send_bytes(sent.raw_bytes());
+        }
+        bench.send_bytes(b"format text\n");
+        assert_eq!(bench.text, b"format text\n");
+        bench.text.clear();
+        // Version 2 is answered between them, and a frame that stops ends.
+        let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+        assert_eq!(bench.answers(&request).len(), 1);
+        let (start, _) = sent.raw_bytes().split_at(9);
+        bench.send_bytes(start);
+        bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+        bench.poll();
+        assert_eq!(bench.text, start);
+        bench.text.clear();
+    }
 }
 
 const FRAME_TIMEOUT_US_AND_MORE: u64 = super::super::receiver::FRAME_TIMEOUT_US + 1;
@@ -966,6 +1153,7 @@ proptest! {
         let mut bench = Bench::new();
         bench.send_bytes(&noise);
         bench.now_us += FRAME_TIMEOUT_US_AND_MORE;
+        bench.poll();
         let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
         let unsupported = MavResult::MAV_RESULT_UNSUPPORTED;
             let expected = acknowledgement(MavCmd::MAV_CMD_DO_SET_MODE, unsupported);
