@@ -4,17 +4,19 @@
 //! A thread reads, so that no byte is lost while the screen is drawn, and carries out orders. It
 //! ends when the [`Link`] is dropped.
 
+mod baud;
+
 use std::io::{self, Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
 use crate::i2c::Sampled;
-use crate::stream::{Decoder, Item};
+use baud::{Failure, Line};
 
 /// Default baud rate of the module.
 pub const BAUD: u32 = 115_200;
@@ -30,13 +32,6 @@ const GATHER: Duration = Duration::from_millis(5);
 
 /// Time between two attempts to open the port again.
 const RETRY: Duration = Duration::from_millis(250);
-
-/// Longest time until the module answers a change of the baud rate. At 9600 baud two lines and the
-/// answer take 300 ms.
-const BAUD_ANSWER: Duration = Duration::from_secs(1);
-
-/// Reason of a failed change of the baud rate if the module sends no answer.
-const UNANSWERED: &str = "the module does not answer";
 
 /// Report of the thread.
 #[derive(Debug, PartialEq, Eq)]
@@ -60,7 +55,27 @@ enum Order {
     /// Continue at this baud rate.
     SetBaud(u32),
     /// Have the module change to this baud rate, and continue at it.
-    SwitchBaud(u32),
+    SwitchBaud(Switch),
+}
+
+/// Change of the baud rate of module and port.
+struct Switch {
+    baud: u32,
+    /// Receiver of the result, if it is none of the reports.
+    asker: Option<Sender<Result<u32, Failure>>>,
+}
+
+impl Switch {
+    /// Reports the result. A dropped link needs none.
+    fn report(self, result: Result<u32, Failure>, reports: &Sender<Report>) {
+        match self.asker {
+            Some(asker) => asker.send(result).ok(),
+            None => {
+                let result = result.map_err(|failure| failure.to_string());
+                reports.send(Report::Switched(result)).ok()
+            }
+        };
+    }
 }
 
 /// Connection to a module.
@@ -126,43 +141,47 @@ impl Link {
     }
 
     /// Has the module change its baud rate, and follows if the module confirms it. A
-    /// [`Report::Switched`] has the result.
+    /// [`Report::Switched`] has the result, as soon as the module answers at the new rate.
     pub fn switch_baud(&self, baud: u32) {
-        self.order(Order::SwitchBaud(baud));
+        self.order(Order::SwitchBaud(Switch { baud, asker: None }));
     }
 
-    /// Restores a format and a baud rate of the module. Drops the bytes that come meanwhile.
+    /// Restores a format and a baud rate of the module.
+    ///
+    /// # Errors
+    ///
+    /// Returns why the module may have another format or rate, and what to do.
     pub fn bring_back(&self, format: &str, baud: u32) -> Result<(), String> {
-        let mut result = Err(UNANSWERED.to_owned());
-        for _attempt in 0..2 {
-            self.send_line(&format!("format {format}"));
-            self.switch_baud(baud);
-            result = self.switched();
-            if result.is_ok() {
-                // The module keeps a rate once it has understood a line at it.
-                self.send_line("status");
-                break;
-            }
+        let mut result = self.bring_back_once(format, baud);
+        // Noise may have spoilt a line.
+        if matches!(result, Err(Failure::Unanswered | Failure::Refused(_))) {
+            result = self.bring_back_once(format, baud);
         }
-        result.map_err(|reason| {
+        result.map(|_| ()).map_err(|failure| {
+            let advice = match failure {
+                Failure::Lost { .. } => "",
+                _ => ". Switch it off and on: it then has its saved format and rate",
+            };
             format!(
-                "the module could not be brought back to `format {format}` at {baud} baud: {reason}"
+                "the module could not be brought back to `format {format}` at {baud} baud: \
+                 {failure}{advice}"
             )
         })
     }
 
-    /// Waits for the result of a change of the baud rate.
-    fn switched(&self) -> Result<(), String> {
-        let asked = Instant::now();
-        // Other orders may come before.
-        while asked.elapsed() < 3 * BAUD_ANSWER {
-            match self.next(READ_TIMEOUT) {
-                Some(Report::Switched(result)) => return result.map(|_| ()),
-                Some(Report::Away(reason) | Report::Ended(reason)) => return Err(reason),
-                Some(_) | None => {}
-            }
+    fn bring_back_once(&self, format: &str, baud: u32) -> Result<u32, Failure> {
+        let (asker, result) = channel();
+        self.send_line(&format!("format {format}"));
+        self.order(Order::SwitchBaud(Switch {
+            baud,
+            asker: Some(asker),
+        }));
+        // Another change may come first.
+        match result.recv_timeout(2 * baud::LONGEST) {
+            Ok(result) => result,
+            Err(RecvTimeoutError::Timeout) => Err(Failure::Unanswered),
+            Err(RecvTimeoutError::Disconnected) => Err(Failure::Gone),
         }
-        Err(UNANSWERED.to_owned())
     }
 
     fn order(&self, order: Order) {
@@ -310,10 +329,7 @@ impl Port {
             port = loop {
                 match orders.recv_timeout(RETRY) {
                     Ok(Order::SetBaud(baud)) => self.baud = baud,
-                    Ok(Order::SwitchBaud(_)) => {
-                        let gone = Err("the port is gone".to_owned());
-                        reports.send(Report::Switched(gone)).ok();
-                    }
+                    Ok(Order::SwitchBaud(switch)) => switch.report(Err(Failure::Gone), reports),
                     Ok(Order::Send(_)) | Err(RecvTimeoutError::Timeout) => {}
                     Err(RecvTimeoutError::Disconnected) => return,
                 }
@@ -365,49 +381,42 @@ impl Port {
                 port.set_baud_rate(baud)?;
                 Ok(port.clear(ClearBuffer::Input)?)
             }
-            Order::SwitchBaud(baud) => {
-                port.write_all(format!("baud {baud}\n").as_bytes())?;
-                port.flush()?;
-                let answer = wait_for_baud(baud, port, reports)?;
-                if answer.is_ok() {
+            Order::SwitchBaud(switch) => {
+                let line = &mut PortLine { port, reports };
+                let result = baud::switch(switch.baud, self.baud, line)?;
+                if let Ok(baud) = result {
                     self.baud = baud;
-                    port.set_baud_rate(baud)?;
                 }
-                // A dropped link needs no report.
-                reports.send(Report::Switched(answer)).ok();
+                switch.report(result, reports);
                 Ok(())
             }
         }
     }
 }
 
-/// Waits for the module's answer to `baud`.
-fn wait_for_baud(
-    baud: u32,
-    port: &mut dyn SerialPort,
-    reports: &Sender<Report>,
-) -> io::Result<Result<u32, String>> {
-    let expected = format!("ok baud {baud}");
-    let mut decoder = Decoder::default();
-    let mut refusal = None;
-    let asked = Instant::now();
-    while asked.elapsed() < BAUD_ANSWER {
-        let bytes = read(port)?;
-        let mut items = Vec::new();
-        decoder.push(&bytes, &mut items);
-        if !bytes.is_empty() {
-            reports.send(Report::Bytes(bytes)).ok();
-        }
-        for item in items {
-            match item {
-                Item::Message(text) if text.starts_with(&expected) => return Ok(Ok(baud)),
-                // The line may be the answer to an earlier one.
-                Item::Message(text) if text.starts_with("error") => refusal = Some(text),
-                _ => {}
-            }
-        }
+/// Port while its baud rate changes. Received bytes are reported too.
+struct PortLine<'a> {
+    port: &'a mut dyn SerialPort,
+    reports: &'a Sender<Report>,
+}
+
+impl Line for PortLine<'_> {
+    fn send(&mut self, text: &str) -> io::Result<()> {
+        self.port.write_all(format!("{text}\n").as_bytes())?;
+        self.port.flush()
     }
-    Ok(Err(refusal.unwrap_or_else(|| UNANSWERED.to_owned())))
+
+    fn receive(&mut self) -> io::Result<Vec<u8>> {
+        let bytes = read(self.port)?;
+        if !bytes.is_empty() {
+            self.reports.send(Report::Bytes(bytes.clone())).ok();
+        }
+        Ok(bytes)
+    }
+
+    fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        Ok(self.port.set_baud_rate(baud)?)
+    }
 }
 
 /// Forwards received bytes. Returns false if the link was dropped.
@@ -445,15 +454,16 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
     else {
         return;
     };
+    // The bytes go to the reports, and to a change of the baud rate.
+    let (heard_sender, heard) = channel();
     let reader = {
         let reports = reports.clone();
         std::thread::spawn(move || {
             let mut buffer = [0; 4096];
             while let Ok(length @ 1..) = output.read(&mut buffer) {
-                if reports
-                    .send(Report::Bytes(buffer[..length].to_vec()))
-                    .is_err()
-                {
+                let bytes = buffer[..length].to_vec();
+                heard_sender.send(bytes.clone()).ok();
+                if reports.send(Report::Bytes(bytes)).is_err() {
                     break;
                 }
             }
@@ -464,26 +474,31 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
         errors.read_to_string(&mut text).ok();
         text
     });
+    let mut line = ProcessLine {
+        input: &mut input,
+        heard: &heard,
+    };
+    let mut baud = BAUD;
     loop {
-        let line = match orders.recv_timeout(RETRY) {
-            Ok(Order::Send(line)) => line,
+        let order = orders.recv_timeout(RETRY);
+        // Answers to an order come after it.
+        while line.heard.try_recv().is_ok() {}
+        let obeyed = match order {
+            Ok(Order::Send(text)) => line.send(&text),
             // A process has no baud rate, but the firmware on the virtual board has one.
-            Ok(Order::SwitchBaud(baud)) => {
-                reports.send(Report::Switched(Ok(baud))).ok();
-                format!("baud {baud}")
+            Ok(Order::SwitchBaud(switch)) => {
+                baud::switch(switch.baud, baud, &mut line).map(|result| {
+                    if let Ok(switched) = result {
+                        baud = switched;
+                    }
+                    switch.report(result, reports);
+                })
             }
-            Ok(Order::SetBaud(_)) | Err(RecvTimeoutError::Timeout) => {
-                if reader.is_finished() {
-                    break;
-                }
-                continue;
-            }
+            Ok(Order::SetBaud(_)) | Err(RecvTimeoutError::Timeout) if reader.is_finished() => break,
+            Ok(Order::SetBaud(_)) | Err(RecvTimeoutError::Timeout) => Ok(()),
             Err(RecvTimeoutError::Disconnected) => break,
         };
-        if writeln!(input, "{line}")
-            .and_then(|()| input.flush())
-            .is_err()
-        {
+        if obeyed.is_err() {
             break;
         }
     }
@@ -495,12 +510,39 @@ fn serve_process(mut child: Child, reports: &Sender<Report>, orders: &Receiver<O
     reports.send(Report::Ended(reason)).ok();
 }
 
+/// Process while the baud rate of its firmware changes.
+struct ProcessLine<'a> {
+    input: &'a mut ChildStdin,
+    heard: &'a Receiver<Vec<u8>>,
+}
+
+impl Line for ProcessLine<'_> {
+    fn send(&mut self, text: &str) -> io::Result<()> {
+        writeln!(self.input, "{text}")?;
+        self.input.flush()
+    }
+
+    fn receive(&mut self) -> io::Result<Vec<u8>> {
+        match self.heard.recv_timeout(READ_TIMEOUT) {
+            Ok(bytes) => Ok(bytes),
+            Err(RecvTimeoutError::Timeout) => Ok(Vec::new()),
+            Err(RecvTimeoutError::Disconnected) => Err(io::ErrorKind::UnexpectedEof.into()),
+        }
+    }
+
+    fn set_baud(&mut self, _: u32) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 #[cfg(all(test, unix))]
 #[path = "../tests/common/plug.rs"]
 mod plug;
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::time::Instant;
+
     use super::plug::Plug;
     use super::*;
 
@@ -550,13 +592,16 @@ mod tests {
         let refusal = "error refused while armed: \"disarm\" first";
         for (answer, expected) in [
             (format!("# {refusal}\n"), Err(refusal.to_owned())),
-            (String::new(), Err(UNANSWERED.to_owned())),
+            (String::new(), Err(Failure::Unanswered.to_string())),
             ("# ok baud 921600 from now on; say\n".into(), Ok(921_600)),
         ] {
             assert_eq!(plug.baud(), BAUD);
             link.switch_baud(921_600);
             assert_eq!(plug.hear().as_deref(), Some("baud 921600"));
             plug.send(answer.as_bytes());
+            if expected.is_ok() {
+                plug.confirm_baud(921_600);
+            }
             assert_eq!(wait_for(&link, is_answer), Report::Switched(expected));
         }
         assert_eq!(plug.baud(), 921_600);
@@ -571,6 +616,18 @@ mod tests {
         assert!(error.contains("another program has it open"), "{error}");
         let error = Link::port("/dev/no-such-port", BAUD).err().expect("none");
         assert!(error.contains("there is no such port"), "{error}");
+    }
+
+    #[test]
+    fn a_change_of_a_process_is_reported_once_it_is_confirmed() {
+        let mut command = Command::new("sh");
+        let script = "read a; echo '# ok baud 921600 from now on'
+            read b; read c; read d; read e; echo \"# ok $e: as before\"; read f";
+        command.args(["-c", script]);
+        let link = Link::process(command).expect("there is a shell");
+        link.switch_baud(921_600);
+        let is_result = |report: &Report| matches!(report, Report::Switched(_));
+        assert_eq!(wait_for(&link, is_result), Report::Switched(Ok(921_600)));
     }
 
     #[test]

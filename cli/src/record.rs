@@ -19,6 +19,9 @@ use crate::usage::Usage;
 /// Longest time until the module answers a command.
 const ANSWER: Duration = Duration::from_secs(2);
 
+/// Attempts to have the module send its log.
+const COMMANDS: u32 = 2;
+
 /// Time to detect a module that still sends its flight log: it sends 1000 bursts a second.
 const LISTEN: Duration = Duration::from_secs(1);
 
@@ -191,6 +194,8 @@ enum Stage {
 struct LogRequest {
     stage: Stage,
     since: Instant,
+    /// Number of commands for the log since the module was asked for its format.
+    commands: u32,
     /// Decoder of the answers before the recording begins, or between its parts.
     talk: Decoder,
     /// Bytes received while listening.
@@ -240,12 +245,7 @@ impl<'a> Recorder<'a> {
         let is_terminal = io::stderr().is_terminal();
         let period = Duration::from_millis(if is_terminal { 200 } else { 10_000 });
         let mut reported = Instant::now();
-        let is_over = |started: Instant| {
-            let seconds = self.options.seconds;
-            ends.load(Ordering::Relaxed)
-                || seconds.is_some_and(|seconds| started.elapsed().as_secs_f64() >= seconds)
-        };
-        while !is_over(self.started) {
+        while !ends.load(Ordering::Relaxed) && !self.is_complete() {
             if let Some(report) = self.link.next(Duration::from_millis(50)) {
                 self.on_report(report)?;
             }
@@ -284,6 +284,14 @@ impl<'a> Recorder<'a> {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns whether the requested seconds are recorded. Those of a flight log count from its
+    /// begin.
+    fn is_complete(&self) -> bool {
+        let has_begun = self.log.as_ref().is_none_or(|log| log.has_run);
+        let seconds = self.options.seconds.filter(|_| has_begun);
+        seconds.is_some_and(|seconds| self.started.elapsed().as_secs_f64() >= seconds)
     }
 
     fn on_report(&mut self, report: Report) -> Result<(), String> {
@@ -397,6 +405,7 @@ impl<'a> Recorder<'a> {
         let log = self.log.get_or_insert_with(|| LogRequest {
             stage: Stage::Asked,
             since: now,
+            commands: 0,
             talk: Decoder::default(),
             held: Vec::new(),
             format: None,
@@ -407,6 +416,7 @@ impl<'a> Recorder<'a> {
             unread: 0,
         });
         log.talk = Decoder::default();
+        log.commands = 0;
         self.enter(Stage::Asked);
         self.link.set_baud(self.options.baud);
         self.link.send_line("show");
@@ -414,6 +424,9 @@ impl<'a> Recorder<'a> {
 
     fn command_log(&mut self) {
         self.enter(Stage::Commanded);
+        if let Some(log) = &mut self.log {
+            log.commands += 1;
+        }
         self.link.send_line("format log");
     }
 
@@ -469,10 +482,13 @@ impl<'a> Recorder<'a> {
             Stage::Asked if elapsed >= ANSWER => self.fail(format!(
                 "the module does not answer at {baud} baud: is it aplomb, and is that its rate?"
             )),
-            // The module restores its rate if it understands nothing at the new one.
+            // Noise may have spoilt a line.
+            Stage::Commanded if elapsed >= ANSWER && log.commands < COMMANDS => {
+                self.command_log();
+                Ok(())
+            }
             Stage::Commanded if elapsed >= ANSWER => self.fail(format!(
-                "the module did not confirm `format log` at {LOG_BAUD} baud: \
-                 does the adapter carry that?"
+                "the module did not confirm `format log` at {LOG_BAUD} baud"
             )),
             Stage::Listening if elapsed >= LISTEN => {
                 self.ask_for_log();

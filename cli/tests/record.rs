@@ -4,6 +4,8 @@
 #![cfg(unix)]
 
 mod common;
+#[path = "common/late_module.rs"]
+mod late_module;
 #[path = "common/plug.rs"]
 mod plug;
 
@@ -16,6 +18,7 @@ use aplomb::health::BoardFlags;
 use aplomb::mpu6050::Burst;
 use aplomb::telemetry::log::{self, Frame, NumberedBurst};
 use common::{aplomb, file, path};
+use late_module::{Fault, LateModule, State};
 use plug::Plug;
 
 const LINE: &[u8] =
@@ -90,6 +93,7 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
     plug.send(shown);
     assert_eq!(plug.hear().as_deref(), Some("baud 921600"));
     plug.send(b"# ok baud 921600 from now on; say something at 921600\n");
+    plug.confirm_baud(921_600);
     assert_eq!(plug.hear().as_deref(), Some("format log"));
     plug.send(b"# ok log, 50 a second\n");
     sleep(Duration::from_millis(300));
@@ -99,7 +103,7 @@ fn a_log_is_switched_on_and_everything_back_at_the_end() {
         assert_eq!(plug.hear().as_deref(), Some(command));
     }
     plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
-    assert_eq!(plug.hear().as_deref(), Some("status"));
+    plug.confirm_baud(115_200);
     let result = child.wait_with_output().expect("it ends");
     assert!(result.status.success(), "{}", errors(&result));
     // What was said before the recording is not in it.
@@ -129,20 +133,13 @@ fn record_log(plug: &mut Plug, output: &Path) -> Child {
 }
 
 fn answer_until_log(plug: &mut Plug) {
-    for (command, answer) in [
-        (
-            "show",
-            "# ok show: mount=default format=text rate=50 baud=115200\n",
-        ),
-        (
-            "baud 921600",
-            "# ok baud 921600 from now on; say something at 921600\n",
-        ),
-        ("format log", "# ok log, 50 a second\n"),
-    ] {
-        assert_eq!(plug.hear().as_deref(), Some(command));
-        plug.send(answer.as_bytes());
-    }
+    assert_eq!(plug.hear().as_deref(), Some("show"));
+    plug.send(b"# ok show: mount=default format=text rate=50 baud=115200\n");
+    assert_eq!(plug.hear().as_deref(), Some("baud 921600"));
+    plug.send(b"# ok baud 921600 from now on; say something at 921600\n");
+    plug.confirm_baud(921_600);
+    assert_eq!(plug.hear().as_deref(), Some("format log"));
+    plug.send(b"# ok log, 50 a second\n");
 }
 
 /// Ends it as Ctrl-C does, and answers up to its end.
@@ -151,7 +148,7 @@ fn end_log(plug: &mut Plug, child: Child) -> Output {
     assert_eq!(plug.hear().as_deref(), Some("format text"));
     assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
     plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
-    assert_eq!(plug.hear().as_deref(), Some("status"));
+    plug.confirm_baud(115_200);
     child.wait_with_output().expect("it ends")
 }
 
@@ -188,7 +185,7 @@ fn a_terminal_that_is_closed_ends_no_recording_and_leaves_the_module_as_it_was()
     assert_eq!(plug.hear().as_deref(), Some("format text"));
     assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
     plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
-    assert_eq!(plug.hear().as_deref(), Some("status"));
+    plug.confirm_baud(115_200);
     assert_eq!(child.wait().expect("it ends").code(), Some(0));
 }
 
@@ -240,6 +237,54 @@ fn a_log_goes_on_after_a_replug_with_and_without_a_loss_of_power() {
         3,
         "{errors}"
     );
+}
+
+/// Records a log of half a second from a module with this fault.
+fn record_late(test: &str, fault: Fault) -> (Output, State) {
+    let plug = Plug::new(test);
+    let output = path("record", test);
+    let name = output.to_str().expect("a name").to_owned();
+    let port = plug.name().to_owned();
+    let module = LateModule::start(plug, fault, LINE, burst(1));
+    let arguments = ["--port", &port, "--output", &name, "--log", "--force"];
+    let child = record(&[&arguments[..], &["--seconds", "0.5"]].concat());
+    let result = child.wait_with_output().expect("it ends");
+    (result, module.end())
+}
+
+/// The firmware drops what it receives between its answer and its change of the rate.
+#[test]
+fn a_module_that_changes_its_rate_late_is_waited_for_in_both_directions() {
+    let (result, state) = record_late("record-late", Fault::None);
+    let errors = errors(&result);
+    assert!(result.status.success(), "{errors}");
+    assert!(!errors.contains("warning"), "{errors}");
+    assert_eq!((state.baud, state.format.as_str()), (115_200, "classic"));
+    assert!(state.trial.is_none(), "it would go back to 921,600 baud");
+}
+
+#[test]
+fn a_rate_that_the_adapter_does_not_carry_leaves_the_module_as_it_was() {
+    let (result, state) = record_late("record-deaf", Fault::DeafAt(921_600));
+    let errors = errors(&result);
+    assert_eq!(result.status.code(), Some(1));
+    let reason = "the module confirmed 921600 baud, but gave no answer there, and is back at \
+                  115200: does the adapter carry 921600 baud?";
+    assert!(errors.contains(reason), "{errors}");
+    assert!(!errors.contains("warning"), "{errors}");
+    assert_eq!((state.baud, state.format.as_str()), (115_200, "classic"));
+    assert!(state.trial.is_none());
+}
+
+#[test]
+fn a_module_that_is_lost_on_the_way_back_is_reported_with_what_to_do() {
+    let (result, _) = record_late("record-lost-back", Fault::DiesAt(115_200));
+    let errors = errors(&result);
+    let warning = "warning: the module could not be brought back to `format classic` at 115200 \
+                   baud: the module confirmed 115200 baud, but answers neither there nor at \
+                   921600: switch it off and on, then it has its saved rate and format";
+    assert!(errors.contains(warning), "{errors}");
+    assert!(result.status.success(), "the recording is complete");
 }
 
 #[test]
@@ -465,18 +510,12 @@ fn ctrl_c_ends_a_bring_up_in_each_step_and_keeps_the_report() {
     ];
     let child = start(&[&arguments[..], &skipped].concat());
     answer_until_log(&mut plug);
-    for (command, answer) in [
-        ("format text", ""),
-        (
-            "baud 115200",
-            "# ok baud 115200 from now on; say something at 115200\n",
-        ),
-        ("status", ""),
-        ("calibrate accel", "# ok calibrate accel: lay it down\n"),
-    ] {
-        assert_eq!(plug.hear().as_deref(), Some(command));
-        plug.send(answer.as_bytes());
-    }
+    assert_eq!(plug.hear().as_deref(), Some("format text"));
+    assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
+    plug.send(b"# ok baud 115200 from now on; say something at 115200\n");
+    plug.confirm_baud(115_200);
+    assert_eq!(plug.hear().as_deref(), Some("calibrate accel"));
+    plug.send(b"# ok calibrate accel: lay it down\n");
     sleep(Duration::from_millis(300));
     signal(&child, "-INT");
     assert_eq!(plug.hear().as_deref(), Some("calibrate stop"));

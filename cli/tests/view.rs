@@ -221,7 +221,7 @@ fn a_rate_that_the_module_refuses_leaves_the_port_as_it_is() {
     view.press(":baud 57600\r");
     while plug.hear().expect("it is said") != "baud 57600" {}
     plug.send(b"# ok baud 57600 from now on; say something at 57600 within 10 s\n");
-    assert_eq!(plug.hear().as_deref(), Some("status"));
+    plug.confirm_baud(57_600);
     assert_eq!(plug.baud(), 57_600);
     view.press("q");
     assert_eq!(view.end().0, Some(0));
@@ -281,6 +281,7 @@ fn a_signal_or_the_terminals_end_brings_the_terminal_and_the_module_back() {
         view.press("f");
         while plug.hear().expect("it is said") != "baud 921600" {}
         plug.send(&said("ok baud 921600 from now on; say something"));
+        plug.confirm_baud_with(921_600, &said("ok baud 921600: as before"));
         while plug.hear().expect("it is said") != "format log" {}
         assert_eq!(plug.baud(), 921_600);
         view.signal(name);
@@ -291,7 +292,7 @@ fn a_signal_or_the_terminals_end_brings_the_terminal_and_the_module_back() {
         while plug.hear().expect("the module is brought back") != "format text" {}
         assert_eq!(plug.hear().as_deref(), Some("baud 115200"));
         plug.send(b"# ok baud 115200 from now on\n");
-        while plug.hear().expect("it is said") != "status" {}
+        plug.confirm_baud(115_200);
         if name == "-TERM" {
             // While it ends, its terminal is as it was already.
             assert!(!view.is_raw());

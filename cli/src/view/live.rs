@@ -9,7 +9,7 @@ use aplomb::settings::OutputFormat;
 
 use super::model::{Connection, Model, Speaker};
 use crate::link::{BAUD, LOG_BAUD, Link, Report};
-use crate::stream::{Counts, Decoder, Format};
+use crate::stream::{Counts, Decoder, Format, Item};
 
 /// Time between two requests for the status: 400 bytes in two seconds are 2 % of the line at
 /// 115,200 baud.
@@ -33,6 +33,8 @@ pub struct Live {
     switched_baud: Option<u32>,
     /// Purpose of a change of the baud rate that is not answered yet.
     switching: Option<Switching>,
+    /// The answer to the last `baud` was shown. Later ones answer its repetitions.
+    has_baud_answer: bool,
     /// Other baud rates may be tried.
     searches_baud: bool,
     /// Start and number of unreadable bytes.
@@ -63,6 +65,7 @@ impl Live {
             first_baud: baud,
             switched_baud: None,
             switching: None,
+            has_baud_answer: false,
             searches_baud: false,
             unread: None,
             first_format: None,
@@ -172,18 +175,38 @@ impl Live {
             self.unread = None;
         }
         for item in items {
-            model.take(now_s, item);
+            if !self.is_repeated(&item) {
+                model.take(now_s, item);
+            }
         }
         if let Some(Format::Module(format)) = self.decoder.format() {
             self.first_format.get_or_insert(format);
         }
     }
 
+    /// Returns whether a message answers a repetition of `baud`, which the link sends by itself.
+    fn is_repeated(&mut self, item: &Item) -> bool {
+        let is_answer = matches!(item, Item::Message(text) if text.starts_with("ok baud "));
+        is_answer && std::mem::replace(&mut self.has_baud_answer, true)
+    }
+
+    /// Has module and port change to this baud rate.
+    fn switch_baud(&mut self, baud: u32, purpose: Switching) {
+        self.switching = Some(purpose);
+        self.has_baud_answer = false;
+        self.link.switch_baud(baud);
+    }
+
     /// Tries the next baud rate after too many unreadable bytes.
     fn search_baud(&mut self, length: usize, now_s: f64, model: &mut Model) {
+        let Some(baud) = self.baud else { return };
+        if self.switching.is_some() {
+            // The link finds the rate at which the module answers.
+            self.unread = None;
+            return;
+        }
         let (since, count) = self.unread.get_or_insert((Instant::now(), 0));
         *count += length;
-        let Some(baud) = self.baud else { return };
         if since.elapsed() < BAUD_PATIENCE || *count < BAUD_BYTES {
             return;
         }
@@ -238,9 +261,6 @@ impl Live {
                         // The new rate stays.
                         self.first_baud = self.baud;
                         self.switched_baud = None;
-                        // The module keeps a rate once it has understood a line at it.
-                        model.quiet_answers = 1;
-                        self.link.send_line("status");
                     }
                 }
             }
@@ -259,10 +279,7 @@ impl Live {
             model.quiet_answers = 0;
         }
         match line.parse() {
-            Ok(command::Command::Baud(baud)) => {
-                self.switching = Some(Switching::Person);
-                self.link.switch_baud(baud);
-            }
+            Ok(command::Command::Baud(baud)) => self.switch_baud(baud, Switching::Person),
             _ => self.link.send_line(line),
         }
     }
@@ -272,8 +289,7 @@ impl Live {
         let is_fast = self.baud == Some(LOG_BAUD);
         if format == OutputFormat::Log && !is_fast && model.takes_commands() {
             model.add_message(model.now_s, Speaker::Person, format!("baud {LOG_BAUD}"));
-            self.switching = Some(Switching::Log);
-            self.link.switch_baud(LOG_BAUD);
+            self.switch_baud(LOG_BAUD, Switching::Log);
         } else {
             self.send(&format!("format {}", format.name()), model);
         }

@@ -19,13 +19,22 @@ const PATIENCE: Duration = Duration::from_secs(10);
 pub struct Plug {
     name: PathBuf,
     module: Option<File>,
+    /// Beginning of the next line.
+    heard: Vec<u8>,
+    /// Last command that confirmed a baud rate. Repetitions of it may follow.
+    confirmed: Option<String>,
 }
 
 impl Plug {
     /// Creates a module that is plugged in.
     pub fn new(test: &str) -> Self {
         let name = std::env::temp_dir().join(format!("aplomb-{test}-{}", std::process::id()));
-        let mut plug = Self { name, module: None };
+        let mut plug = Self {
+            name,
+            module: None,
+            heard: Vec::new(),
+            confirmed: None,
+        };
         plug.plug_in();
         plug
     }
@@ -47,6 +56,7 @@ impl Plug {
         std::fs::remove_file(&self.name).ok();
         symlink(port, &self.name).expect("a link");
         self.module = Some(module.into());
+        self.heard.clear();
     }
 
     /// Unplugs the module.
@@ -55,29 +65,60 @@ impl Plug {
         self.module = None;
     }
 
-    /// Sends bytes in pieces for which a pseudo-terminal has room, once the other end is open.
+    /// Sends bytes once the other end is open.
     pub fn send(&mut self, bytes: &[u8]) {
+        self.send_within(bytes, PATIENCE).expect("somebody listens");
+    }
+
+    /// Sends bytes in pieces for which a pseudo-terminal has room. The error is that the other end
+    /// is not open, or is slower than this.
+    pub fn send_within(&mut self, bytes: &[u8], patience: Duration) -> io::Result<()> {
         for piece in bytes.chunks(512) {
             // What is sent to nobody would come back as an echo.
-            self.wait_for(PollFlags::OUT).expect("somebody listens");
+            self.wait_within(PollFlags::OUT, patience)?;
             let module = self.module.as_mut().expect("it is plugged in");
             module.write_all(piece).expect("it takes it");
             sleep(Duration::from_millis(2));
         }
+        Ok(())
     }
 
-    /// Returns the next line, or `None` after some seconds.
+    /// Returns the next line, or `None` after some seconds. Skips empty lines, and repetitions of
+    /// a command that has confirmed a baud rate.
     pub fn hear(&mut self) -> Option<String> {
-        let mut line = Vec::new();
+        self.hear_within(PATIENCE)
+    }
+
+    /// Like [`hear`](Self::hear), with a bound for the silence before each byte.
+    pub fn hear_within(&mut self, patience: Duration) -> Option<String> {
         loop {
-            self.wait_for(PollFlags::IN).ok()?;
+            self.wait_within(PollFlags::IN, patience).ok()?;
             let mut byte = [0];
             self.module.as_mut()?.read_exact(&mut byte).ok()?;
-            if byte == *b"\n" {
-                return String::from_utf8(line).ok();
+            if byte != *b"\n" {
+                self.heard.extend(byte);
+                continue;
             }
-            line.extend(byte);
+            let line = String::from_utf8(std::mem::take(&mut self.heard)).ok()?;
+            if !line.is_empty() && self.confirmed.as_ref() != Some(&line) {
+                self.confirmed = None;
+                return Some(line);
+            }
         }
+    }
+
+    /// Waits for the first command at a new baud rate, and answers it with these bytes.
+    pub fn confirm_baud_with(&mut self, baud: u32, answer: &[u8]) {
+        let command = format!("baud {baud}");
+        while self.hear().expect("the rate is confirmed") != command {}
+        self.confirmed = Some(command);
+        self.send(answer);
+    }
+
+    /// Like [`confirm_baud_with`](Self::confirm_baud_with), with the module's answer.
+    pub fn confirm_baud(&mut self, baud: u32) {
+        let answer = format!("# ok baud {baud}: as before\n");
+        self.confirm_baud_with(baud, answer.as_bytes());
     }
 
     /// Returns the baud rate of the port's side.
@@ -88,11 +129,11 @@ impl Plug {
     }
 
     /// Waits until the line can be read or written, with the other end open.
-    fn wait_for(&self, event: PollFlags) -> io::Result<()> {
+    fn wait_within(&self, event: PollFlags, patience: Duration) -> io::Result<()> {
         let module = self.module.as_ref().ok_or(ErrorKind::NotConnected)?;
         let start = Instant::now();
         let mut has_waited = false;
-        while start.elapsed() < PATIENCE {
+        while start.elapsed() < patience {
             let mut polled = [PollFd::new(module, event)];
             let timeout = Timespec {
                 tv_sec: 0,
