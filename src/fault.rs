@@ -316,7 +316,8 @@ pub struct BurstFailure {
 }
 
 impl BurstFailure {
-    /// Returns the class that counts the failure.
+    /// Returns the class that counts the failure. A missing edge with the pin high counts as
+    /// [`FaultClass::InterruptStuckHigh`] instead.
     pub const fn class(&self) -> FaultClass {
         match (self.fault, self.step) {
             (BurstFault::NotAcknowledged, BurstStep::AddressWrite | BurstStep::AddressRead) => {

@@ -2,12 +2,13 @@
 
 #![expect(
     dead_code,
+    unused_variables,
     reason = "the code of the page is compiled, and does not run"
 )]
 
-use aplomb::calibration::ImplausibleCalibration;
-use aplomb::estimator::Estimator;
-use aplomb::estimator::kalman::{AccelerometerKnowledge, GyroscopeKnowledge, WarmStart};
+use aplomb::calibration::{ImplausibleCalibration, Mount};
+use aplomb::estimator::Sample;
+use aplomb::estimator::kalman::WarmStart;
 use aplomb::health::{BoardFlags, Flags};
 use aplomb::mpu6050::{Config, Mpu6050, SettingsState};
 use aplomb::pipeline::{Pipeline, Settings, Snapshot};
@@ -24,11 +25,12 @@ fn report(error: ImplausibleCalibration) {
 fn pipeline<I2C: I2c>(
     sensor: &Mpu6050<I2C>,
     config: Config,
-    bytes: [u8; storage::LONGEST_RECORD],
+    kept_record: impl Fn() -> [u8; storage::LONGEST_RECORD],
 ) -> Result<Pipeline, Box<dyn std::error::Error>> {
     let mut settings = Settings::for_sensor(sensor.part(), &config);
     settings.mount = "+y-z".parse()?; // unless the chip is face up with X forward
     settings.verifies_scales = true; // step 6
+    let bytes: [u8; storage::LONGEST_RECORD] = kept_record(); // as `storage::to_bytes` wrote them
     if let Some(record) = storage::from_bytes(&bytes).record {
         match record.calibration.check() {
             Ok(()) => settings.calibration = record.calibration, // a mount in it is taken
@@ -71,21 +73,30 @@ fn arm(pipeline: &mut Pipeline, snapshot: &Snapshot, wants_to_arm: bool) {
 #[rustfmt::skip]
 fn resume(
     pipeline: &mut Pipeline,
-    kept: [u8; WarmStart::LENGTH],
-    (unseen_turn_rad, now_us): (f32, u64),
+    bytes: [u8; WarmStart::LENGTH],
+    (now_us, age_us): (u64, u32),
     was_armed: bool,
 ) {
-    if let Some(mut start) = WarmStart::from_bytes(&kept) {
-        start.tilt_sigma_rad += unseen_turn_rad; // since the state was kept
-        pipeline.resume(&start, now_us);
-        pipeline.set_armed(was_armed); // `resume` does not arm
+    if let Some(kept) = WarmStart::from_bytes(&bytes) {
+        pipeline.resume_aged(&kept, now_us, age_us);
+        pipeline.set_armed(was_armed); // `resume_aged` does not arm
     }
 }
 
 #[rustfmt::skip]
-fn know_nothing(estimator: &mut Estimator) {
-    estimator.filter_mut().set_accelerometer_knowledge(AccelerometerKnowledge::Factory);
-    estimator.filter_mut().set_gyroscope_knowledge(GyroscopeKnowledge::Factory);
+fn samples(
+    mut next_sample: impl FnMut() -> Option<(u64, [f32; 3], [f32; 3])>,
+    full_scale_rad_s: f32,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let mut pipeline = Pipeline::new(&Settings::for_samples(200.0)); // samples a second
+    let mount: Mount = "+y-z".parse()?; // the sensor's axes along forward and down
+    while let Some((t_us, force_m_s2, rate_rad_s)) = next_sample() { // in the sensor's axes
+        let body = |vector: [f32; 3]| mount.to_body(vector.into());
+        let mut sample = Sample::new(t_us, body(force_m_s2), body(rate_rad_s));
+        sample.is_rate_saturated = rate_rad_s.iter().any(|rate| rate.abs() >= full_scale_rad_s);
+        let snapshot = pipeline.update_sample(&sample); // trust it only with `Flags::VALID`
+    }
+    Ok(())
 }
 
 /// Returns the lines without their indentation.

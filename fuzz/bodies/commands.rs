@@ -135,7 +135,7 @@ impl Module for Wire {
 
     fn begin(&mut self, _job: Job) {
         assert!(!self.is_armed && self.outcome.is_none());
-        self.outcome = Some(Outcome::new(true, "stored"));
+        self.outcome = Some(Outcome::new(true, &"stored"));
     }
 
     fn take_outcome(&mut self) -> Option<Outcome> {

@@ -368,7 +368,7 @@ fn bad_outcomes_apart_are_no_fault() {
     for reading in [overflow, not_ready, garbled] {
         let mut compass = find(Bus::with([Chip::ak8963(reading)]), Choice::Auto).unwrap();
         for _ in 0..20 {
-            assert_eq!(turns(&mut compass, 20), (9, None));
+            assert_eq!(slots(&mut compass, 20), (9, None));
         }
     }
 }
@@ -380,9 +380,9 @@ fn silent_turns_apart_are_no_fault() {
         let mut compass = find(bus, Choice::Auto).unwrap();
         for _ in 0..50 {
             compass.bus_mut().chip(part.address()).is_silent = true;
-            assert_eq!(turns(&mut compass, 2), (0, None), "{part:?}");
+            assert_eq!(slots(&mut compass, 2), (0, None), "{part:?}");
             compass.bus_mut().chip(part.address()).is_silent = false;
-            let (readings, fault) = turns(&mut compass, 7);
+            let (readings, fault) = slots(&mut compass, 7);
             assert!(readings >= 3, "{part:?} {readings}");
             assert_eq!(fault, None, "{part:?}");
         }
@@ -398,10 +398,10 @@ fn an_overflow_drops_readings_and_nothing_else() {
         bytes
     };
     let mut compass = find(Bus::with([Chip::ak8963(ak8963_bytes)]), Choice::Auto).unwrap();
-    assert!(turns(&mut compass, 20).0 > 0);
+    assert!(slots(&mut compass, 20).0 > 0);
     compass.bus_mut().chip(0x0C).reading = Box::new(overflow);
     for _ in 0..100 {
-        assert_eq!(turns(&mut compass, 1).0, 0);
+        assert_eq!(slots(&mut compass, 1).0, 0);
         assert!(compass.session().is_running());
     }
     assert_eq!(compass.session().fault(), Some(Fault::Overflow));

@@ -33,7 +33,7 @@ enum LostByte {
     Acknowledge,
     /// Another byte follows after the falling edge of SCL.
     Acknowledged,
-    /// So many bits are left of the byte that the sensor receives.
+    /// Bits are left of the byte that the sensor receives.
     Receiving { left: u8 },
     /// The sensor has received the byte, and will pull SDA low for the next clock.
     Received,
@@ -93,8 +93,8 @@ pub struct Wires {
     levels: [bool; 2],
     /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
     falls_made: [u32; 2],
-    /// Times that the sensor was left in a byte that it receives, and such bytes that it has received
-    /// from clocks that the firmware made by hand.
+    /// Times that the sensor was left in a byte that it receives, and such bytes that it has
+    /// received from clocks that the firmware made by hand.
     left_and_made: [u32; 2],
     /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made
     /// it with the pins as outputs, or a shorted SDA rose while SCL was high.
@@ -205,8 +205,8 @@ impl Wires {
         self.left_and_made[0] += 1;
     }
 
-    /// Times that the sensor was left in a byte that it receives, and such bytes that it has received
-    /// from clocks that the firmware made by hand.
+    /// Times that the sensor was left in a byte that it receives, and such bytes that it has
+    /// received from clocks that the firmware made by hand.
     #[must_use]
     pub fn left_and_made(&self) -> [u32; 2] {
         self.left_and_made

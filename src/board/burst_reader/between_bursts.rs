@@ -12,14 +12,15 @@ use crate::board::timebase::{self, Timebase};
 use crate::compass;
 use crate::fault::BurstStep;
 
-/// Latest start of a transaction after an edge, in µs. The longest reads nine bytes of a compass, in
-/// 300 µs. One that overlaps the next edge would delay its burst, and a sensor may answer that with
-/// the registers of the edge before: it renews them only while its bus is idle (register map, 4.17).
+/// Latest start of a transaction after an edge, in µs. The longest reads nine bytes of a compass,
+/// in 300 µs. One that overlaps the next edge would delay its burst, and a sensor may answer that
+/// with the registers of the edge before: it renews them only while its bus is idle (register map,
+/// 4.17).
 const LATEST_START_US: u32 = 650;
 
 impl BurstReader {
-    /// Handles SPI1, which `request_transaction` in `link.rs` pends. If the bus is free, and will be
-    /// at the next edge, starts the requested transfer with the compass, or else a check of some
+    /// Handles SPI1, which `request_transaction` in `link.rs` pends. If the bus is free, and will
+    /// be at the next edge, starts the requested transfer with the compass, or else a check of some
     /// settings.
     pub fn on_transaction_request(&mut self) {
         let is_free = self.step == BurstStep::Idle

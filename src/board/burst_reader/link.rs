@@ -200,7 +200,8 @@ pub fn is_enabled() -> bool {
     LINK.is_enabled.load(Ordering::Acquire)
 }
 
-/// Returns the number of failed bursts since boot, which wraps at 65,536, and the last failure.
+/// Returns the number of failed bursts, failed checks and missing edges since boot, which wraps at
+/// 65,536, and the last failure.
 pub fn failures() -> (u16, Option<BurstFailure>) {
     let packed = LINK.failures.load(Ordering::Relaxed);
     let [count_low, count_high, fault, step] = packed.to_le_bytes();

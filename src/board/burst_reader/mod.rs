@@ -74,7 +74,8 @@ const POLL_AFTER_CHECK_US: u32 = 300;
 /// Longest time from the request of a STOP to its end, in µs: a byte that the port has begun to
 /// clock may come before it.
 const LONGEST_STOP_US: u32 = 30;
-/// Shortest period after the reader is enabled. Zero sends every edge to `on_unexpected_edge`.
+/// Shortest period while the reader is disabled, waits for its first edge, or polls: sends every
+/// edge to `on_unexpected_edge`.
 const EXAMINE_EVERY_EDGE_US: u32 = 0;
 
 /// Burst reader. All its methods run at one priority, so none interrupts another.
@@ -300,7 +301,7 @@ impl BurstReader {
             self.end_other_read(timebase);
             return false;
         }
-        if self.is_suspect && self.take_lost_sensor() {
+        if self.is_suspect && self.take_suspicion() {
             self.fail(BurstFault::BusError);
             return false;
         }
@@ -334,7 +335,7 @@ impl BurstReader {
     /// next burst is not suspect.
     #[cold]
     #[inline(never)]
-    fn take_lost_sensor(&mut self) -> bool {
+    fn take_suspicion(&mut self) -> bool {
         self.is_suspect = false;
         // SAFETY: the transfer into this buffer is complete, and the buffer is not offered yet.
         unsafe { &*BUFFERS.0[self.buffer as usize].get() }.has_lost_end()

@@ -5,8 +5,8 @@ use stm32f4xx_hal::pac::{I2C1, i2c1};
 use super::super::sensor_bus::{self, with_clock};
 use super::super::timebase;
 
-/// Time that the port itself holds a line low at most, in µs: an acknowledge and the STOP after it,
-/// at 400 kHz, and some for the rising edges.
+/// Time that the port itself holds a line low at most, in µs: an acknowledge and the STOP after
+/// it, at 400 kHz, and some for the rising edges.
 const LONGEST_LOW_US: u32 = 8;
 
 /// Enables the interrupts of the port, and disables its DMA requests.
@@ -47,8 +47,8 @@ pub fn is_bus_held() -> bool {
     i2c1().cr1().read().stop().bit_is_set() && stays_low()
 }
 
-/// Returns whether SCL or SDA stays low. A late STOP also waits for the byte that the port has begun
-/// to clock; the lines go high within that one.
+/// Returns whether SCL or SDA stays low. A late STOP also waits for the byte that the port has
+/// begun to clock; the lines go high within that one.
 #[cold]
 #[inline(never)]
 fn stays_low() -> bool {

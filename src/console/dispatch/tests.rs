@@ -433,7 +433,7 @@ fn save_writes_an_unchanged_record_after_a_problem_at_start() {
                 "ok save: the sensor stops for a second"
             );
             assert_eq!(harness.calls(), [Call::Begin(Job::Save)]);
-            harness.module.outcome = Some(Outcome::new(is_ok, "it ended"));
+            harness.module.outcome = Some(Outcome::new(is_ok, &"it ended"));
             harness.poll();
             let status = harness.ask("status");
             assert!(status.contains(unsaved), "{problem:?}: {status}");

@@ -327,7 +327,8 @@ impl Microcontroller {
         self.sensor_bus.start_takes_time = true;
     }
 
-    /// Makes the port of the sensor's bus clock on at once after a byte that it did not acknowledge.
+    /// Makes the port of the sensor's bus clock on at once after a byte that it did not
+    /// acknowledge.
     pub fn leave_no_time_for_stop(&mut self) {
         self.sensor_bus.waits_for_stop = false;
     }
