@@ -1,8 +1,11 @@
 //! Processes one burst to one snapshot: the only place that defines the order of the steps.
 //!
 //! ```text
-//! Burst ─► decode ─► correct and align ─► estimate ─► health ─► Snapshot
+//! Burst ─► inspect ─► decode, correct, align ─► estimate ─► judge ─► Snapshot
 //! ```
+//!
+//! Before the estimate, a rate that no body can have is replaced (`suspect_data.rs`), and the
+//! temperature may move the offset (`thermal_drift.rs`).
 //!
 //! Every burst gives a snapshot, from the first one on. The snapshot carries [`Flags::CALIBRATING`]
 //! until the gyroscope's offset is known: after a second of rest. Until then σ is much larger. A

@@ -99,7 +99,7 @@ impl Kalman {
                 if !self.is_bias_measured() {
                     self.widen_prior();
                 }
-                self.measure_velocity(self.velocity_noise() / duration_s);
+                self.measure_small_velocity(duration_s);
             }
         }
         // A damaged state of an earlier run may hold others before these.
@@ -125,18 +125,18 @@ impl Kalman {
     #[inline(never)]
     pub(super) fn check_rest_drift(&mut self) {
         let still_s = self.rest_detector.still_s();
-        if self.rest_detector.begins_drift() {
-            self.rest_detector.restart_drift(self.has_rested);
+        if self.rest_detector.needs_drift_reference() {
+            self.rest_detector.set_drift_reference(self.has_rested);
         }
-        let squared_drift = self.rest_detector.squared_drift();
+        let squared_force_drift = self.rest_detector.squared_force_drift();
         let squared_rate_drift = self.rest_detector.squared_rate_drift();
-        if squared_drift < square(STEADY_FORCE_DRIFT_M_S2)
+        if squared_force_drift < square(STEADY_FORCE_DRIFT_M_S2)
             && squared_rate_drift < square(STEADY_RATE_DRIFT_RAD_S)
         {
             self.steady_until_s = still_s;
         }
         let is_swing = squared_rate_drift > square(LARGEST_RATE_DRIFT_RAD_S);
-        if !is_swing && squared_drift < square(LARGEST_FORCE_DRIFT_M_S2) {
+        if !is_swing && squared_force_drift < square(LARGEST_FORCE_DRIFT_M_S2) {
             return;
         }
         let bias_rad_s = self.nominal.gyroscope_bias_rad_s;
@@ -158,12 +158,15 @@ impl Kalman {
         self.rest_detector.interrupt();
     }
 
-    /// Returns the noise density of the small-velocity measurement, (m/s)²·s.
-    fn velocity_noise(&self) -> f32 {
+    /// Adds the small-velocity measurement of motion: the more noise, the faster the vehicle has
+    /// moved.
+    #[inline(never)]
+    fn measure_small_velocity(&mut self, duration_s: f32) {
         let tuning = self.tuning;
-        let noise = square(tuning.velocity_noise)
+        let density = square(tuning.velocity_noise)
             + square(tuning.velocity_noise_per_velocity) * self.recent.squared;
-        smaller(noise, square(tuning.velocity_noise_limit))
+        let density = smaller(density, square(tuning.velocity_noise_limit));
+        self.measure_velocity(density / duration_s);
     }
 
     #[inline(never)]
@@ -233,7 +236,7 @@ impl Kalman {
             self.reset_coasting(variance);
             self.measure_velocity(variance);
         } else {
-            self.measure_velocity(self.velocity_noise() / duration_s);
+            self.measure_small_velocity(duration_s);
         }
         true
     }

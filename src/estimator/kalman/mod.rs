@@ -190,8 +190,10 @@ pub struct Kalman {
     delay_s: f32,
     /// Longest step that hides no motion: a longer one is a pause.
     pause_after_s: f32,
-    /// Duration of the present full-scale readings of any axis.
+    /// Duration of the present full-scale readings of any axis of either sensor.
     saturated_s: f32,
+    /// Duration of those of the gyroscope.
+    rate_saturated_s: f32,
     is_armed: bool,
     tilt: Tilt,
     /// True if a covariance step is due or under way.
@@ -335,6 +337,7 @@ impl Kalman {
             delay_s: 0.0,
             pause_after_s: f32::INFINITY,
             saturated_s: 0.0,
+            rate_saturated_s: 0.0,
             is_armed: false,
             tilt: Tilt::Unknown,
             is_step_pending: false,
@@ -451,12 +454,12 @@ impl Kalman {
                 Progress::Idle => self.begin_covariance_step(),
                 Progress::Working => {}
                 Progress::Propagated | Progress::Checked => self.update_extra_tilt(),
-                Progress::BeforeMeasurements => {
+                Progress::PreparationDue => {
                     self.admit_changed_bias();
                     self.check_rest_drift();
                     self.relax_parameter(self.step.duration_s());
                 }
-                Progress::Predicted => {
+                Progress::MeasurementsDue => {
                     self.nominal_tilt_rad2 = self.step.tilt_variance_rad2();
                     self.measure();
                 }

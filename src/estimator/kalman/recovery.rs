@@ -178,15 +178,13 @@ impl ForceSum {
     /// Returns whether the mean is within 45° of up; `None` if it is not about one g.
     #[inline(never)]
     pub(super) fn is_gravity_up(&self) -> Option<bool> {
-        const LEAST: f32 = 0.7 * STANDARD_GRAVITY_M_S2;
-        const GREATEST: f32 = 1.4 * STANDARD_GRAVITY_M_S2;
         let force = self.integral_m_s;
         let squared = force.dot(force);
         // Within 45°, z is negative, and its square more than half of the whole.
         let is_up = -2.0 * force.z * force.z.abs() > squared;
-        (square(LEAST * self.duration_s)..square(GREATEST * self.duration_s))
-            .contains(&squared)
-            .then_some(is_up)
+        // From 0.7 to 1.4 g.
+        let least = square(0.7 * STANDARD_GRAVITY_M_S2 * self.duration_s);
+        (least..4.0 * least).contains(&squared).then_some(is_up)
     }
 
     pub(super) fn visit_state(&mut self, visitor: &mut impl StateVisitor) {

@@ -64,7 +64,7 @@ pub(super) struct RestReadings {
     pub(super) force_m_s2: Vector3,
 }
 
-/// Stationary detector: the average readings, and the time without motion.
+/// Rest detector: the average readings, and the time without motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(super) struct RestDetector {
@@ -159,7 +159,7 @@ impl RestDetector {
 
     /// Measures drift, variance and contradiction from now on. `has_rested` is true if a rest has
     /// been accepted before: the present one is then a later rest.
-    pub(super) const fn restart_drift(&mut self, has_rested: bool) {
+    pub(super) const fn set_drift_reference(&mut self, has_rested: bool) {
         self.is_later_rest |= has_rested;
         self.rate_variance = 0.0;
         self.agreed_until_s = self.still_s;
@@ -212,14 +212,14 @@ impl RestDetector {
 
     /// Returns the square of the specific force's change in the time without motion, (m/s²)².
     /// While the sensor turns, the force drifts.
-    pub(super) fn squared_drift(&self) -> f32 {
+    pub(super) fn squared_force_drift(&self) -> f32 {
         let drift = self.average_force_m_s2 - self.first_force_m_s2;
         drift.dot(drift)
     }
 
     /// Returns whether the drift has to be measured from now on: the averages still contain motion,
     /// or this is the first check. At some rates, such as 50 and 100 Hz, that one is later.
-    pub(super) fn begins_drift(&self) -> bool {
+    pub(super) fn needs_drift_reference(&self) -> bool {
         // Zero as an integer, because that comparison is shorter.
         self.still_s < SETTLED_S || self.agreed_until_s.to_bits() == 0
     }

@@ -38,9 +38,9 @@ enum CovarianceSlice {
     PropagateParameters(usize),
     /// F·P·Fᵀ: the block P_pd into P_dd.
     CompleteDynamic,
-    /// The caller lets a parameter return towards its prior.
+    /// The caller checks corrections and rest, and lets a parameter return towards its prior.
     Prepare,
-    /// The measurements are due.
+    /// The caller adds the measurements.
     Measure,
     /// Column, gain and correction of this measurement.
     Correct(usize),
@@ -59,12 +59,13 @@ pub(super) enum Progress {
     Idle,
     /// A part of the step is done.
     Working,
-    /// The covariance is propagated to the interval's end; the return to the priors comes next.
+    /// The covariance is propagated to the interval's end.
     Propagated,
-    /// A parameter may return towards its prior now.
-    BeforeMeasurements,
-    /// The prediction is complete: add the measurements now.
-    Predicted,
+    /// The work before the measurements is due: checks of corrections and rest, and the return of a
+    /// parameter towards its prior.
+    PreparationDue,
+    /// The measurements are due.
+    MeasurementsDue,
     /// The covariance is complete, and its numbers are usable.
     Checked,
     /// The step and its correction are complete.
@@ -242,11 +243,11 @@ impl CovarianceStep {
             }
             CovarianceSlice::Prepare => {
                 self.next_slice = CovarianceSlice::Measure;
-                return Progress::BeforeMeasurements;
+                return Progress::PreparationDue;
             }
             CovarianceSlice::Measure => {
                 self.next_slice = CovarianceSlice::Correct(0);
-                return Progress::Predicted;
+                return Progress::MeasurementsDue;
             }
             CovarianceSlice::Correct(index) => self.next_slice = self.apply_measurement(index),
             CovarianceSlice::CorrectRows(index, row) => {

@@ -13,6 +13,7 @@ impl Kalman {
             delay_s,
             pause_after_s,
             saturated_s,
+            rate_saturated_s,
             is_armed,
             tilt,
             is_step_pending,
@@ -44,6 +45,7 @@ impl Kalman {
         visitor.f32(delay_s);
         visitor.f32(pause_after_s);
         visitor.f32(saturated_s);
+        visitor.f32(rate_saturated_s);
         visitor.bool(is_armed);
         tilt.visit_state(visitor);
         visitor.bool(is_step_pending);

@@ -115,24 +115,25 @@ impl Kalman {
     pub(super) fn inflate_for_unseen_motion(&mut self, sample: &Sample, dt_s: f32) {
         let mut hidden_rad2 = self.pause_variance_rad2(dt_s);
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
-        let saturated_s = self.saturated_s;
+        let (saturated_s, rate_s) = (self.saturated_s, self.rate_saturated_s);
         self.saturated_s = 0.0;
+        self.rate_saturated_s = 0.0;
+        let mut is_lost = false;
         if sample.is_rate_saturated || sample.is_force_saturated {
             self.saturated_s = saturated_s + dt_s;
-            let growth = square(self.saturated_s) - square(saturated_s);
-            if sample.is_rate_saturated {
-                let hidden = square(HIDDEN_SHARE) * rate.dot(rate);
-                hidden_rad2 += hidden * growth + SATURATED_TILT * dt_s;
-            }
-            if sample.is_force_saturated {
-                self.interval.unseen_velocity_m2_s2 +=
-                    force.dot(force) * growth + SATURATED_VELOCITY * dt_s;
-            }
+        }
+        let growth = square(self.saturated_s) - square(saturated_s);
+        if sample.is_force_saturated {
+            self.interval.unseen_velocity_m2_s2 +=
+                force.dot(force) * growth + SATURATED_VELOCITY * dt_s;
+        }
+        if sample.is_rate_saturated {
+            self.rate_saturated_s = rate_s + dt_s;
+            let hidden = square(HIDDEN_SHARE) * rate.dot(rate);
+            hidden_rad2 += hidden * growth + SATURATED_TILT * dt_s;
         } else {
             let last = self.nominal.rate_rad_s;
-            if square(HIDDEN_SHARE * saturated_s) * last.dot(last) > square(USABLE_TILT_RAD) {
-                self.tilt = Tilt::Lost;
-            }
+            is_lost = square(HIDDEN_SHARE * rate_s) * last.dot(last) > square(USABLE_TILT_RAD);
         }
         self.inflate_tilt(hidden_rad2);
         if dt_s > LONG_STEP_S {
@@ -145,10 +146,11 @@ impl Kalman {
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
-                if self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
-                    self.tilt = Tilt::Lost;
-                }
+                is_lost |= self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD);
             }
+        }
+        if is_lost {
+            self.lose_tilt();
         }
     }
 }

@@ -134,9 +134,9 @@ fn the_sliced_step_is_the_kalman_filter_of_the_textbook() {
             match step.slice() {
                 Progress::Working
                 | Progress::Propagated
-                | Progress::BeforeMeasurements
+                | Progress::PreparationDue
                 | Progress::Checked => {}
-                Progress::Predicted => {
+                Progress::MeasurementsDue => {
                     for (state, innovation, variance) in &measurements {
                         step.queue_measurement(Measurement {
                             state: *state,

@@ -235,3 +235,41 @@ fn a_changing_rate_at_few_samples_a_second_is_no_pause() {
         assert_ne!(confirmation, Confirmation::Suspect, "{step}");
     }
 }
+
+/// An arm that whirls a sensor of ±2 g clips its accelerometer all the time. The gyroscope shows
+/// the turn.
+#[test]
+fn a_clipped_force_in_a_turn_loses_no_tilt() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    world.run(&mut estimator, 3_000);
+    world.rate_rad_s = Vector3::new(7.0, 0.0, 0.0);
+    let mut worst: f32 = 0.0;
+    for millisecond in 0..3_000 {
+        let mut sample = world.sample(1000);
+        // Away from the shoulder.
+        sample.specific_force_m_s2.y -= 7.0 * 7.0 * 0.6;
+        sample.is_force_saturated = millisecond % 800 < 750;
+        let estimate = estimator.update(&sample);
+        worst = worst.max(world.tilt_error_degrees(estimate.attitude));
+    }
+    assert!(worst < 10.0, "{worst}");
+}
+
+/// Free fall from the first sample on: no tilt has been known, so a pause loses none.
+#[test]
+fn yaw_begins_at_zero_after_a_pause_in_a_fall() {
+    let mut world = World::at_rest(Quaternion::IDENTITY);
+    let mut estimator = estimator();
+    estimator.filter_mut().set_sample_period(1.0e-3);
+    world.acceleration_m_s2.z = STANDARD_GRAVITY_M_S2;
+    world.rate_rad_s.z = 3.0;
+    world.run(&mut estimator, 300);
+    // A turn that may have ended anywhere in the pause.
+    world.rate_rad_s.z = 0.0;
+    estimator.update(&world.sample(490_000));
+    world.acceleration_m_s2.z = 0.0;
+    let estimate = world.run(&mut estimator, 1);
+    let yaw_deg = degrees(estimate.euler().yaw_rad);
+    assert!(yaw_deg.abs() < 0.5, "{yaw_deg}");
+}
