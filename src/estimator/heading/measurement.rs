@@ -174,7 +174,7 @@ impl Heading {
         let attitude = kalman.attitude_at_earth_step();
         if self.since_first_s > LONGEST_TURN_S {
             self.first_attitude = attitude;
-            self.first_turn = Vector3::ZERO;
+            self.largest_turn = Vector3::ZERO;
             self.since_first_s = 0.0;
         }
         // The axis, times the sine of half the angle.
@@ -184,12 +184,13 @@ impl Heading {
         if turn.dot(turn) < least {
             return;
         }
-        if self.first_turn == Vector3::ZERO {
-            self.first_turn = turn;
+        // The part of the smaller turn across the larger one: a small turn's axis is uncertain.
+        let (before, now) = (self.largest_turn.dot(self.largest_turn), turn.dot(turn));
+        let across = self.largest_turn.cross(turn);
+        self.has_two_axes |= across.dot(across) > least * larger(before, now);
+        if now > before {
+            self.largest_turn = turn;
         }
-        let along = self.first_turn;
-        let squared_along = square(along.dot(turn)) / along.dot(along);
-        self.has_two_axes |= turn.dot(turn) - squared_along > least;
         if self.has_two_axes || self.is_iron_known {
             self.verified_s += self.motion * self.closed().duration_s;
         }
@@ -268,7 +269,7 @@ impl Heading {
         FieldSlice::CorrectStates(axis)
     }
 
-    /// Completes J·hᵀ at ε for an axis, and corrects the states.
+    /// Completes J·hᵀ at ε for an axis, and corrects the states and the drift of yaw.
     pub(super) fn correct_states(&mut self, kalman: &Kalman, axis: u8) -> FieldSlice {
         let place = usize::from(axis);
         let row = self.row(place);
@@ -287,6 +288,11 @@ impl Heading {
         self.inverse_variance = 1.0 / variance;
         let innovation = self.innovation().into_iter().nth(place).unwrap_or(0.0);
         let gain = innovation * self.inverse_variance;
+        if self.estimate.is_some_and(|estimate| estimate.is_valid) {
+            let ([x, y, ..], [to_x, to_y, ..]) = (self.state, self.own_scratch);
+            let turn_rad = gain * (x * to_y - y * to_x) / (square(x) + square(y));
+            self.drift_rad_s += turn_rad / self.tuning.drift_memory_s;
+        }
         for (state, entry) in self.state.iter_mut().zip(&self.own_scratch) {
             *state += gain * entry;
         }

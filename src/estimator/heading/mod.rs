@@ -34,7 +34,11 @@
 //! The filter reads the tilt filter and changes nothing in it, so the attitude with a compass is
 //! that without one, to the bit. A magnet cannot tilt the horizon. The errors of all its states are
 //! *considered*: X, their cross-covariance with c and b, follows each of the tilt filter's
-//! covariance steps. The gains on the gyroscope's bias are zero, because they improve no score.
+//! covariance steps.
+//!
+//! A slow change of the gyroscope's offset about down turns the level frame, and nothing shows it
+//! to the tilt filter. While the heading is valid, a 60th of each correction of c therefore counts
+//! as a rate of yaw, and turns c from then on.
 //!
 //! # Disturbances
 //!
@@ -81,6 +85,7 @@ mod covariance;
 mod interval;
 mod knowledge;
 mod measurement;
+mod state;
 mod step;
 mod tuning;
 
@@ -95,7 +100,6 @@ use super::arithmetic::{larger, square};
 use super::kalman::Kalman;
 use super::kalman::heading_access::ERROR_STATES;
 use crate::attitude::{Quaternion, Vector3, wrap_pi};
-use crate::serialize::StateVisitor;
 use crate::units::{MagneticField, SECONDS_PER_MICROSECOND};
 use covariance::{CrossRow, DEVIATION, FIELD, FieldCovariance, IRON, STATES};
 use interval::{FieldInterval, IntervalPair};
@@ -173,6 +177,8 @@ pub struct Heading {
     /// Scratch of the step, from `FieldSlice::CorrectStates` on: inverse of the innovation variance
     /// of an axis, 1/µT².
     inverse_variance: f32,
+    /// Rate of the level frame about down that the gyroscope does not show, rad/s.
+    drift_rad_s: f32,
     /// Motion of the body: 0 at rest, at most 1.
     motion: f32,
     /// Recent excess of the squared innovation, µT².
@@ -214,9 +220,8 @@ pub struct Heading {
     declination_rad: f32,
     /// Attitude from which turns count, of the last 15 s.
     first_attitude: Quaternion,
-    /// First large turn from there: axis in body axes, times the sine of half the angle. Zero
-    /// before.
-    first_turn: Vector3,
+    /// Largest turn from there: axis in body axes, times the sine of half the angle. Zero before.
+    largest_turn: Vector3,
     estimate: Option<HeadingEstimate>,
     /// Time of the last sample that [`update_to`](Self::update_to) has processed, µs.
     updated_us: u64,
@@ -248,6 +253,7 @@ impl Heading {
             cross_scratch: [0.0; ERROR_STATES],
             own_scratch: [0.0; STATES],
             inverse_variance: 0.0,
+            drift_rad_s: 0.0,
             motion: 0.0,
             excess: 0.0,
             expected_ut2: 0.0,
@@ -259,7 +265,7 @@ impl Heading {
             updated_us: 0,
             has_started: false,
             first_attitude: Quaternion::IDENTITY,
-            first_turn: Vector3::ZERO,
+            largest_turn: Vector3::ZERO,
             since_first_s: f32::INFINITY,
             has_two_axes: false,
             is_iron_known: knowledge != CompassKnowledge::Factory,
@@ -344,59 +350,6 @@ impl Heading {
         (is_valid && (IRON..IRON + 3).all(is_certain)).then(|| self.hard_iron_ut())
     }
 
-    /// Visits every field but the tuning, which is static.
-    pub fn visit_state(&mut self, visitor: &mut impl StateVisitor) {
-        self.knowledge.visit_state(visitor);
-        self.next_slice.visit_state(visitor);
-        let mut open = usize::from(self.open);
-        visitor.index(&mut open, 2);
-        self.open = open as u8;
-        visitor.bool(&mut self.has_interval);
-        visitor.bool(&mut self.has_reading);
-        visitor.f32s(&mut self.reading_ut);
-        visitor.f32(&mut self.reading_age_s);
-        visitor.f32(&mut self.declination_rad);
-        visitor.f32(&mut self.elapsed_s);
-        visitor.f32s(&mut self.state);
-        self.intervals.visit_state(visitor);
-        self.covariance.visit_state(visitor);
-        visitor.f32s(&mut self.cross_scratch);
-        visitor.f32s(&mut self.own_scratch);
-        for field in [
-            &mut self.late_turn_rad,
-            &mut self.inverse_variance,
-            &mut self.expected_ut2,
-            &mut self.noise_ut2,
-            &mut self.motion,
-            &mut self.excess,
-            &mut self.contradiction,
-            &mut self.inconsistency,
-            &mut self.contradicted_s,
-            &mut self.silent_s,
-            &mut self.verified_s,
-            &mut self.since_first_s,
-        ] {
-            visitor.f32(field);
-        }
-        visitor.bool(&mut self.has_started);
-        visitor.u64(&mut self.updated_us);
-        visitor.u8(&mut self.changes);
-        visitor.quaternion(&mut self.first_attitude);
-        visitor.vector(&mut self.first_turn);
-        visitor.bool(&mut self.has_two_axes);
-        visitor.bool(&mut self.is_iron_known);
-        let blank = HeadingEstimate {
-            yaw_offset_rad: 0.0,
-            sigma_rad: 0.0,
-            is_valid: false,
-        };
-        visitor.optional(&mut self.estimate, blank, |visitor, estimate| {
-            visitor.f32(&mut estimate.yaw_offset_rad);
-            visitor.f32(&mut estimate.sigma_rad);
-            visitor.bool(&mut estimate.is_valid);
-        });
-    }
-
     fn reset_field(&mut self) {
         let (field, deviation) = (
             square(self.tuning.start_field_ut),
@@ -411,6 +364,7 @@ impl Heading {
             *state = 0.0;
         }
         self.set_estimate(None);
+        self.drift_rad_s = 0.0;
         self.contradiction = 0.0;
         self.inconsistency = 0.0;
         self.contradicted_s = 0.0;

@@ -259,7 +259,9 @@ impl Heading {
 
     /// Rotates X by the drift of yaw.
     fn rotate_cross(&mut self, kalman: &Kalman) -> FieldSlice {
-        let turn_rad = dot(&self.closed().yaw, kalman.gyroscope_correction());
+        let closed = self.closed();
+        let turn_rad =
+            dot(&closed.yaw, kalman.gyroscope_correction()) + self.drift_rad_s * closed.duration_s;
         let [x, y, ..] = self.state;
         self.covariance.subtract_cross(0, y, &self.cross_scratch);
         self.covariance.subtract_cross(1, -x, &self.cross_scratch);

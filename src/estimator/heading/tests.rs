@@ -237,6 +237,55 @@ fn after_a_restart_turns_about_one_axis_are_too_few() {
     }
 }
 
+/// The axis of a small turn is uncertain: a wobble of a few degrees must not make a turn about the
+/// vertical one about two axes. A vehicle on wheels does not show its hard iron.
+#[test]
+fn turns_about_the_vertical_with_a_wobble_are_too_few() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Factory);
+    flight.iron_ut = Vector3::new(12.0, -9.0, 5.0);
+    flight.rest(3.0);
+    flight.estimator.filter_mut().set_armed(true);
+    let mut turned = 0.0_f32;
+    for _ in 0..120 {
+        // Rolls by 4° and turns by 115° to each side.
+        flight.run(1.0, |t_s| {
+            let (roll, yaw) = (libm::cosf(2.0 * t_s), libm::cosf(0.3 * t_s));
+            Vector3::new(2.0 * radians(4.0) * roll, 0.0, 0.3 * 2.0 * yaw)
+        });
+        assert!(!flight.heading.has_two_axes, "{} us", flight.t_us);
+        turned = turned.max(flight.heading.largest_turn.norm());
+    }
+    // The turns themselves count.
+    assert!(turned > 0.3, "{turned}");
+    flight.tumble(20.0);
+    assert!(flight.heading.has_two_axes);
+}
+
+/// A vehicle that stays level shows the tilt filter nothing about the offset about down.
+#[test]
+fn an_offset_that_drifts_does_not_leave_the_heading_behind() {
+    for drift_deg_s in [0.0, 1.0, -1.0] {
+        let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+        flight.rest(4.0);
+        flight.estimator.filter_mut().set_armed(true);
+        // A drift over five minutes, as of a sensor that warms up by 6 °C.
+        let mut largest_deg = 0.0_f32;
+        for second in 0..360_u16 {
+            let share = (f32::from(second) / 300.0).min(1.0);
+            flight.offset_rad_s = Vector3::new(0.0, 0.0, share * radians(drift_deg_s));
+            flight.run(1.0, |t_s| {
+                let wobble = 0.1 * libm::cosf(1.3 * t_s);
+                Vector3::new(wobble, 0.0, 0.25 * libm::cosf(0.2 * t_s))
+            });
+            if second > 20 {
+                largest_deg = largest_deg.max(flight.error_deg().expect("a heading").abs());
+            }
+        }
+        assert!(largest_deg < 10.0, "{drift_deg_s}: {largest_deg}");
+        assert!(flight.heading.estimate().is_some_and(|it| it.is_valid));
+    }
+}
+
 #[test]
 fn a_reset_keeps_the_settings_alone() {
     let mut flight = Flight::new(20.0, CompassKnowledge::Factory);

@@ -14,6 +14,7 @@
 //! |---|---|
 //! | `start_field_ut`, walks, `deviation_still_s`, `moving_*`, `least_motion` | prototype |
 //! | `gate`, `excess_*`, `largest_excess_ut`, `restart_*`, `known_rad` | prototype |
+//! | `drift_memory_s` | first guess; 30 and 120 s have BROAD's mean 0.02 higher and 0.01 lower |
 //! | `noise_ut` | prototype; with the true attitude BROAD's residual is 0.9 to 1.2 µT |
 //! | `noise_per_rate` | prototype: 1; BROAD's residual does not grow up to 8.5 rad/s |
 //! | `deviation_ut` | prototype: 3.5; BROAD with magnets has 1.29/2.15° instead of 1.32/2.21° |
@@ -39,6 +40,9 @@ pub struct HeadingTuning {
     pub field_walk: f32,
     /// Random walk of yaw beyond the gyroscope's noise, rad/√s.
     pub yaw_walk: f32,
+    /// Time in which the corrections of yaw add up to their rate, s. Shorter: follows an offset
+    /// that changes faster, but also disturbances.
+    pub drift_memory_s: f32,
     /// Random walk of the hard iron, µT/√s. Larger: follows a change sooner.
     pub hard_iron_walk: f32,
     /// σ of the slow local deviation, per axis, µT.
@@ -112,6 +116,7 @@ impl HeadingTuning {
         start_field_ut: 60.0,
         field_walk: 0.02,
         yaw_walk: 0.007,
+        drift_memory_s: 60.0,
         hard_iron_walk: 0.005,
         deviation_ut: 3.0,
         deviation_moving_s: 0.2,
