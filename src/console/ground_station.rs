@@ -143,6 +143,12 @@ impl GroundStation {
         self.end_pending(outcome);
     }
 
+    /// Returns whether a request waits for the console to end its work.
+    #[inline]
+    pub const fn has_pending(&self) -> bool {
+        self.pending.is_some()
+    }
+
     /// Answers a request that has ended without an answer of the console: `arm` and
     /// `calibrate stop` give up a calibration. Call it while the console works on nothing.
     pub fn cancel_pending(&mut self) {

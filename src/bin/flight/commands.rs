@@ -134,7 +134,7 @@ impl Commands {
             kind = Some(answered);
         }
         let has_new_baud = port.station.session.take_has_frame() && console.confirm_baud();
-        if !console.is_working() {
+        if port.station.has_pending() && !console.is_working() {
             port.station.cancel_pending();
         }
         if kind.is_some() || has_new_baud {
