@@ -190,6 +190,8 @@ pub struct Kalman {
     delay_s: f32,
     /// Longest step that hides no motion: a longer one is a pause.
     pause_after_s: f32,
+    /// Longest step that is neither a pause nor longer than `LONG_STEP_S`.
+    long_after_s: f32,
     /// Duration of the present full-scale readings of any axis of either sensor.
     saturated_s: f32,
     /// Duration of those of the gyroscope.
@@ -254,6 +256,7 @@ impl Filter for Kalman {
         *self = Self {
             delay_s: self.delay_s,
             pause_after_s: self.pause_after_s,
+            long_after_s: self.long_after_s,
             is_armed: self.is_armed,
             ..Self::fresh(self.tuning, self.parameter_priors)
         };
@@ -273,8 +276,7 @@ impl Filter for Kalman {
         }
         let (rate, force) = (sample.angular_rate_rad_s, sample.specific_force_m_s2);
         let is_saturated = sample.is_rate_saturated || sample.is_force_saturated;
-        let is_long = dt_s > self.pause_after_s || dt_s > LONG_STEP_S;
-        if is_long || is_saturated || self.saturated_s > 0.0 {
+        if dt_s > self.long_after_s || is_saturated || self.saturated_s > 0.0 {
             self.inflate_for_unseen_motion(sample, dt_s);
         }
         let elapsed_s = self.nominal.integrate(rate, force, dt_s);
@@ -336,6 +338,7 @@ impl Kalman {
             tuning,
             delay_s: 0.0,
             pause_after_s: f32::INFINITY,
+            long_after_s: LONG_STEP_S,
             saturated_s: 0.0,
             rate_saturated_s: 0.0,
             is_armed: false,

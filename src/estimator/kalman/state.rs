@@ -12,6 +12,7 @@ impl Kalman {
             tuning: _,
             delay_s,
             pause_after_s,
+            long_after_s,
             saturated_s,
             rate_saturated_s,
             is_armed,
@@ -44,6 +45,7 @@ impl Kalman {
         } = self;
         visitor.f32(delay_s);
         visitor.f32(pause_after_s);
+        visitor.f32(long_after_s);
         visitor.f32(saturated_s);
         visitor.f32(rate_saturated_s);
         visitor.bool(is_armed);

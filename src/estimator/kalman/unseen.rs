@@ -53,6 +53,11 @@ impl Kalman {
     /// turn unseen. Default: no step is a pause.
     pub const fn set_sample_period(&mut self, period_s: f32) {
         self.pause_after_s = PAUSE_PERIODS * period_s;
+        self.long_after_s = if self.pause_after_s < LONG_STEP_S {
+            self.pause_after_s
+        } else {
+            LONG_STEP_S
+        };
     }
 
     /// Returns the tilt variance per axis that a pause of this length adds, rad².
@@ -118,7 +123,6 @@ impl Kalman {
         let (saturated_s, rate_s) = (self.saturated_s, self.rate_saturated_s);
         self.saturated_s = 0.0;
         self.rate_saturated_s = 0.0;
-        let mut is_lost = false;
         if sample.is_rate_saturated || sample.is_force_saturated {
             self.saturated_s = saturated_s + dt_s;
         }
@@ -133,7 +137,9 @@ impl Kalman {
             hidden_rad2 += hidden * growth + SATURATED_TILT * dt_s;
         } else {
             let last = self.nominal.rate_rad_s;
-            is_lost = square(HIDDEN_SHARE * rate_s) * last.dot(last) > square(USABLE_TILT_RAD);
+            if square(HIDDEN_SHARE * rate_s) * last.dot(last) > square(USABLE_TILT_RAD) {
+                self.lose_tilt();
+            }
         }
         self.inflate_tilt(hidden_rad2);
         if dt_s > LONG_STEP_S {
@@ -146,11 +152,10 @@ impl Kalman {
                     force_change.dot(force_change) * square(0.25 * dt_s);
                 self.nominal
                     .bridge_pause(rate_rad_s, sample.specific_force_m_s2);
-                is_lost |= self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD);
+                if self.interval.unseen_tilt_rad2 > square(LARGEST_HIDDEN_TURN_RAD) {
+                    self.lose_tilt();
+                }
             }
-        }
-        if is_lost {
-            self.lose_tilt();
         }
     }
 }
