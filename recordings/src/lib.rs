@@ -8,7 +8,8 @@
 //! - [`attitude_table`]: tables of attitudes;
 //! - [`motion`]: a log as motion; [`simulated`]: simulated sensor data with its truth;
 //!   [`simulated_compass`]: a compass beside it;
-//! - [`rate`]: the sample rate of a log; [`wrap`]: clocks of 32 bits;
+//! - [`rate`]: the sample rate of a log; [`wrap`]: clocks of 32 bits; [`batches`]: times that come
+//!   in batches;
 //! - [`plateau`]: clipping; [`vibration`]: vibration that is too strong;
 //! - [`turns`]: rates that do not fit the force; [`unit_check`]: units of rows in memory;
 //! - [`number`]: numbers as text, fast;
@@ -27,6 +28,7 @@
 pub mod at_hand;
 pub mod attitude;
 pub mod attitude_table;
+pub mod batches;
 mod columns;
 pub mod counts;
 pub mod distribution;

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use crate::batches::{Batches, EvenRows, ROWS_SHOWING, Timed};
 use crate::fault::{LogError, LogFault};
 use crate::lines::Lines;
 use crate::plausibility::{JUDGED_ROWS, Judge};
@@ -33,6 +34,14 @@ pub struct Rows {
     /// Wraps of the clock, if it may be one of 32 bits that counts microseconds.
     wraps: Option<Wraps>,
     has_wrapped: bool,
+    /// Rows whose times come in batches, until their batch is over.
+    even: Option<EvenRows<(u64, Row)>>,
+}
+
+impl Timed for (u64, Row) {
+    fn time_us(&mut self) -> &mut i64 {
+        &mut self.1.time_us
+    }
 }
 
 impl Rows {
@@ -66,8 +75,12 @@ impl Rows {
                 _ => None,
             },
             has_wrapped: false,
+            even: None,
         };
-        rows.read_ahead(JUDGED_ROWS);
+        rows.read_ahead(JUDGED_ROWS.max(ROWS_SHOWING));
+        if options.bad_rows != Some(BadRows::Keep) {
+            rows.find_batches();
+        }
         let first = rows.ahead.iter().map(|(_, row)| row);
         if let Err(fault) = rows.judge.units(first) {
             rows.line = rows.ahead.front().map_or(0, |(line, _)| *line);
@@ -121,11 +134,37 @@ impl Rows {
     /// Reads rows until this number waits, or to the end or an error.
     fn read_ahead(&mut self, count: usize) {
         while self.ahead.len() < count && self.fault.is_none() && !self.is_over {
-            match self.read() {
-                Ok(Some(row)) => self.ahead.push_back(row),
-                Ok(None) => self.is_over = true,
-                Err(error) => self.fault = Some(error),
+            match (self.read(), &mut self.even) {
+                (Ok(Some(row)), None) => self.ahead.push_back(row),
+                (Ok(Some(row)), Some(even)) => self.ahead.extend(even.push(row)),
+                (Ok(None), _) => self.is_over = true,
+                (Err(error), _) => self.fault = Some(error),
             }
+            self.end_batches();
+        }
+    }
+
+    /// Spreads the times from the first row on, if those of the first rows come in batches.
+    fn find_batches(&mut self) {
+        let times_us: Vec<i64> = self.ahead.iter().map(|(_, row)| row.time_us).collect();
+        let Some(batches) = Batches::find(&times_us) else {
+            return;
+        };
+        let text = format!("{}: {}", self.lines.name(), batches.message());
+        self.lines.notify("note", text);
+        let mut even = EvenRows::new(batches);
+        let first = std::mem::take(&mut self.ahead);
+        self.ahead = first.into_iter().flat_map(|row| even.push(row)).collect();
+        self.even = Some(even);
+        self.end_batches();
+    }
+
+    /// Takes the rows of the last batch, if no row follows.
+    fn end_batches(&mut self) {
+        if (self.is_over || self.fault.is_some())
+            && let Some(even) = &mut self.even
+        {
+            self.ahead.extend(even.end());
         }
     }
 
