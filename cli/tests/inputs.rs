@@ -5,7 +5,7 @@ mod common;
 
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use common::{aplomb, file, path};
@@ -900,4 +900,78 @@ fn bursts_keep_their_full_scales_and_their_knowledge() {
     run(&["convert", input.to_str().unwrap(), &again]);
     let text = std::fs::read_to_string(&again).unwrap();
     assert!(text.starts_with("# --accelerometer calibrated\nt_us,bytes,flags\n"));
+}
+
+/// Returns each fifth row of a simulated flight of 30 s, which is 200 Hz, with these times.
+fn restamped(name: &str, stamp: impl Fn(i64) -> i64) -> PathBuf {
+    let flight = path("batches", "flight.csv");
+    let simulated = aplomb(&[
+        "simulate",
+        "--seconds",
+        "30",
+        "--output",
+        flight.to_str().unwrap(),
+    ]);
+    assert!(simulated.status.success());
+    let table = std::fs::read_to_string(&flight).unwrap();
+    let is_row = |line: &&str| line.starts_with(|first: char| first.is_ascii_digit());
+    let (header, rows): (Vec<&str>, Vec<&str>) = table.lines().partition(|line| !is_row(line));
+    let mut text = header.join("\n");
+    for (row, line) in (0..).zip(rows.iter().step_by(5)) {
+        let (_, values) = line.split_once(',').unwrap();
+        text += &format!("\n{},{values}", stamp(row));
+    }
+    file("batches", name, text + "\n")
+}
+
+/// A host stamps ten rows within 1 ms, and then none for 49 ms.
+#[test]
+fn times_in_batches_are_spread_evenly() {
+    let even = restamped("even.csv", |row| 5_000 * (row + 1));
+    let (even, attitudes) = (even.to_str().unwrap(), path("batches", "attitude.csv"));
+    let picture = path("batches", "picture.svg");
+    let (attitudes, picture) = (attitudes.to_str().unwrap(), picture.to_str().unwrap());
+    let replay = |input: &str| {
+        let result = aplomb(&["replay", input, "--json", "--output", attitudes]);
+        let errors = String::from_utf8(result.stderr).unwrap();
+        assert!(result.status.success(), "{errors}");
+        let mut summary: serde_json::Value = serde_json::from_slice(&result.stdout).unwrap();
+        summary["input"].take();
+        (summary, std::fs::read(attitudes).unwrap(), errors)
+    };
+    let (expected, rows, errors) = replay(even);
+    assert_eq!(errors, "");
+    let degraded = expected["flags"]["DEGRADED"].as_u64().unwrap_or(0);
+    assert!(degraded < 1_000, "{expected}");
+    for step_us in [20, 100] {
+        let stamp = |row: i64| (row / 10 + 1) * 50_000 + row % 10 * step_us;
+        let batches = restamped("batches.csv", stamp);
+        let batches = batches.to_str().unwrap();
+        let (summary, spread, note) = replay(batches);
+        let expected_note = "times come in batches of about 10 rows, as a host stamps them on \
+                             arrival: they are spread evenly, mostly 5000 µs apart";
+        assert_eq!(note.lines().count(), 1, "{note}");
+        assert!(note.contains(expected_note), "{note}");
+        assert_eq!(summary, expected);
+        assert!(spread == rows, "the attitudes are those of even times");
+        // As the truth of these attitudes, its times are spread too.
+        let plot = |truth: &str| {
+            let plot = ["plot", attitudes, "--truth", truth, "--output", picture];
+            String::from_utf8(aplomb(&plot).stdout).unwrap()
+        };
+        assert!(plot(even).contains("inclination error"));
+        assert_eq!(plot(batches), plot(even));
+        let kept = aplomb(&["replay", batches, "--time-unit", "us", "--bad-rows", "keep"]);
+        assert!(
+            !String::from_utf8(kept.stderr)
+                .unwrap()
+                .contains("batches of")
+        );
+    }
+    // Four pauses are no batches.
+    let paused = restamped("paused.csv", |row| {
+        5_000 * row + (row / 40).min(4) * 400_000
+    });
+    let (_, _, errors) = replay(paused.to_str().unwrap());
+    assert!(!errors.contains("in batches"), "{errors}");
 }

@@ -2,6 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use aplomb_recordings::batches;
 use aplomb_recordings::plateau::Plateaus;
 use aplomb_recordings::rate::{ROWS_AHEAD, divider_of_period, sample_rate_divider, unsigned};
 use library::attitude::Vector3;
@@ -286,7 +287,8 @@ impl Kalman {
     /// ----------
     /// t_us : array (n,) or Recording
     ///     Times, whole microseconds. Other units and datetime64 are refused. Those of a clock of
-    ///     32 bits are counted on where it begins again, with a warning.
+    ///     32 bits are counted on where it begins again, with a warning. Those that come in batches
+    ///     are spread evenly, with a warning.
     ///     A recording has the other columns too, and what is known of its accelerometer:
     ///     `Kalman().run(recording)` gives the bits of `aplomb replay`.
     /// gyro : array (n, 3)
@@ -299,8 +301,8 @@ impl Kalman {
     ///     True in flight: the filter then takes no steady motion for a rest, and measures
     ///     nothing at a rest. Without it, the filter is never armed.
     /// check_units : bool
-    ///     False skips the checks of units. True (the default) checks them as `read_log` does.
-    ///     A recording was checked before.
+    ///     False skips the checks of units and leaves the times. True (the default) checks them as
+    ///     `read_log` does. A recording was checked before.
     ///
     /// Raises ValueError if the numbers suggest another unit or exchanged arrays, with what to
     /// pass, or if the times mostly decrease. Warns with UserWarning if they may be in another
@@ -323,6 +325,12 @@ impl Kalman {
             let text = "t_us begins again, as a clock of 32 bits does after 71.6 minutes: it is \
                         counted on";
             warn(python, text.to_owned())?;
+        }
+        if check_units
+            && !input.is_recording
+            && let Some(message) = batches::spread(&mut times)
+        {
+            warn(python, message)?;
         }
         let count = times.len();
         let gyro = Vectors::of_count(&input.gyro, "gyro", count)?;

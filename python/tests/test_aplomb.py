@@ -348,6 +348,23 @@ def test_whole_times_in_another_unit_are_refused():
         single.update(t_us, [0, 0, 0], [0, 0, 9.8])
 
 
+def test_times_in_batches_are_spread_evenly():
+    recording = aplomb.simulate(seconds=20)
+    columns = (recording.gyro[::5], recording.accel[::5])
+    row = np.arange(len(columns[0]))
+    even_us = 5_000 * (row + 1)
+    batches_us = (row // 10 + 1) * 50_000 + row % 10 * 100
+    expected = aplomb.Kalman().run(even_us, *columns)
+    with pytest.warns(UserWarning, match="in batches of about 10 rows.*5000 µs") as found:
+        attitudes = aplomb.Kalman(rate_hz=200).run(batches_us, *columns)
+    assert found[0].filename == __file__
+    assert np.array_equal(attitudes.t_us, even_us)
+    assert np.array_equal(attitudes.quaternion, expected.quaternion)
+    assert np.array_equal(attitudes.flags, expected.flags)
+    left = aplomb.Kalman().run(batches_us, *columns, check_units=False)
+    assert np.array_equal(left.t_us, batches_us)
+
+
 def test_a_clock_of_32_bits_is_counted_on(tmp_path):
     recording = aplomb.simulate(seconds=4)
     columns = (recording.gyro, recording.accel)
