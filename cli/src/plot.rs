@@ -8,7 +8,7 @@ mod spectrum;
 mod truth;
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use aplomb::calibration::Mount;
 use aplomb_recordings::attitude_table::Columns;
@@ -64,6 +64,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             .into());
         }
     };
+    options.check_streams()?;
     let figure = if flight_log::is_flight_log(input) {
         let log = flight_log::read(input)?;
         let flights = log.flown().count();
@@ -81,7 +82,7 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
         };
         let mut source = options.reading.open_flight(&log, flight)?;
         let mount = source.mount();
-        options.figure(&mut source, mount)?
+        options.figure(&mut source, mount, options.truth(mount)?)?
     } else {
         let mut lines = progress::lines(input)?;
         let mount = options.reading.mount();
@@ -89,12 +90,14 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
             Some(columns) => {
                 let has_truth = options.truth.is_some();
                 options.reading.check(Kind::Attitudes { has_truth })?;
-                options.check_time_unit()?;
-                options.figure(&mut Table { lines, columns }, mount)?
+                let truth = options.truth(mount)?;
+                options.check_time_unit(truth.as_ref())?;
+                options.figure(&mut Table { lines, columns }, mount, truth)?
             }
             None => {
                 lines.unread();
-                options.figure(&mut *options.reading.open(lines)?, mount)?
+                let mut source = options.reading.open(lines)?;
+                options.figure(&mut *source, mount, options.truth(mount)?)?
             }
         }
     };
@@ -130,24 +133,42 @@ pub fn run(options: &Options) -> Result<(), Box<dyn Error>> {
 }
 
 impl Options {
-    /// Refuses a unit of times if neither the attitudes nor the truth are a recording.
-    fn check_time_unit(&self) -> Result<(), Box<dyn Error>> {
-        if let Some(path) = self.truth.as_ref()
-            && self.reading.rows().time_unit.is_some()
-            && Columns::of(&header(&mut progress::lines(path)?)?).is_some()
-        {
-            let reason = "--time-unit would change nothing: these are attitudes, in microseconds";
-            return Err(Usage::from(format!("{}: {reason}", path.display())).into());
+    /// Refuses standard input for both files: it can be read once.
+    fn check_streams(&self) -> Result<(), Usage> {
+        let stream = Some(Path::new("-"));
+        if self.truth.as_deref() == stream && self.reading.input == Path::new("-") {
+            return Err("-: INPUT and --truth cannot both be standard input".into());
         }
         Ok(())
     }
 
-    /// Reads all rows, with the truth of a sensor with this mount.
-    fn figure(&self, source: &mut dyn Source, mount: Mount) -> Result<Figure, Box<dyn Error>> {
-        let mut truth = match &self.truth {
-            Some(path) => Some(TruthFile::open(path, mount, self.reading.rows())?),
-            None => None,
-        };
+    /// Opens the file with the truth of a sensor with this mount, if there is one.
+    fn truth(&self, mount: Mount) -> Result<Option<TruthFile>, Box<dyn Error>> {
+        let truth = self.truth.as_ref();
+        truth
+            .map(|path| TruthFile::open(path, mount, self.reading.rows()))
+            .transpose()
+    }
+
+    /// Refuses a unit of times if neither the attitudes nor the truth are a recording.
+    fn check_time_unit(&self, truth: Option<&TruthFile>) -> Result<(), Usage> {
+        if let Some(path) = &self.truth
+            && self.reading.rows().time_unit.is_some()
+            && truth.is_some_and(|truth| truth.is_table)
+        {
+            let reason = "--time-unit would change nothing: these are attitudes, in microseconds";
+            return Err(Usage::from(format!("{}: {reason}", path.display())));
+        }
+        Ok(())
+    }
+
+    /// Reads all rows, with this truth.
+    fn figure(
+        &self,
+        source: &mut dyn Source,
+        mount: Mount,
+        mut truth: Option<TruthFile>,
+    ) -> Result<Figure, Box<dyn Error>> {
         let mut source = VibrationMonitor::new(source);
         let figure = Figure::read(&mut source, mount, truth.as_mut())?;
         for warning in source.warnings() {

@@ -3,6 +3,7 @@
 mod common;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use aplomb_models::motion::Mount;
 use aplomb_recordings::motion::Recording;
@@ -422,5 +423,37 @@ fn a_truth_has_the_unit_of_times_of_the_recording() {
     assert!(
         message.contains("--time-unit would change nothing"),
         "{message}"
+    );
+}
+
+/// A pipe can be read once.
+#[test]
+fn a_truth_on_standard_input_is_read_once() {
+    let log = simulate("pipe", "flight.csv", &["--seconds", "12"]);
+    let attitudes = path("pipe", "attitude.csv");
+    run(&["replay", text(&log), "--output", text(&attitudes)]);
+    let svg = path("pipe", "picture.svg");
+    let plot = |input: &str, truth: &Path, more: &[&str]| {
+        let result = Command::new(env!("CARGO_BIN_EXE_aplomb"))
+            .args(["plot", input, "--truth", "-", "--output", text(&svg)])
+            .args(more)
+            .stdin(std::fs::File::open(truth).unwrap())
+            .output()
+            .unwrap();
+        let printed = [result.stdout, result.stderr].concat();
+        (result.status.code(), String::from_utf8(printed).unwrap())
+    };
+    let (code, without) = plot(text(&attitudes), &log, &[]);
+    assert_eq!(code, Some(0), "{without}");
+    let with = plot(text(&attitudes), &log, &["--time-unit", "us"]);
+    assert_eq!(with, (Some(0), without));
+    let (code, refused) = plot(text(&attitudes), &attitudes, &["--time-unit", "us"]);
+    assert_eq!(code, Some(2), "{refused}");
+    assert!(refused.contains("would change nothing"), "{refused}");
+    let (code, refused) = plot("-", &log, &[]);
+    assert_eq!(code, Some(2), "{refused}");
+    assert!(
+        refused.contains("cannot both be standard input"),
+        "{refused}"
     );
 }

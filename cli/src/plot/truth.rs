@@ -1,5 +1,6 @@
 //! True attitudes over time, and tables of attitudes.
 
+use std::collections::VecDeque;
 use std::error::Error;
 use std::path::Path;
 
@@ -9,6 +10,7 @@ use aplomb::units::radians;
 use aplomb_models::motion;
 use aplomb_models::motion::geometry::Quaternion as Truth;
 use aplomb_recordings::attitude_table::Columns;
+use aplomb_recordings::batches::{Batches, EvenRows, ROWS_SHOWING, Timed};
 use aplomb_recordings::form::header;
 use aplomb_recordings::log::{Lines, LogColumns, LogFault, parse_row_in};
 use aplomb_recordings::motion::body_to_earth;
@@ -76,6 +78,8 @@ type NextRow = dyn FnMut() -> Result<Option<TrueRow>, Box<dyn Error>>;
 
 /// True attitudes over time, read along with the estimate.
 pub struct TruthFile {
+    /// True for a table of attitudes, whose times are microseconds.
+    pub is_table: bool,
     rows: Box<NextRow>,
     before: Option<TrueRow>,
     after: Option<TrueRow>,
@@ -90,7 +94,7 @@ impl TruthFile {
         let header = header(&mut lines)?;
         let mut file = if let Some(columns) = Columns::of(&header) {
             let mut table = Table { lines, columns };
-            Self::new(move || {
+            let rows = Self::new(move || {
                 let point = table.next()?;
                 Ok(point.map(|point| {
                     let Quaternion { w, x, y, z } = point.attitude;
@@ -101,9 +105,13 @@ impl TruthFile {
                         scored: point.scored,
                     }
                 }))
-            })
+            });
+            Self {
+                is_table: true,
+                ..rows
+            }
         } else if let Some(columns) = LogColumns::of(&header).filter(|own| own.has_truth()) {
-            Self::new(move || {
+            Self::new(evenly(move || {
                 let Some(line) = lines.next_line()? else {
                     return Ok(None);
                 };
@@ -114,7 +122,7 @@ impl TruthFile {
                     attitude: row.attitude.map(|truth| body_to_earth(truth, mount)),
                     scored: row.scored,
                 }))
-            })
+            }))
         } else {
             let refused = lines.refuse(LogFault::Header(header));
             return Err(format!(
@@ -129,6 +137,7 @@ impl TruthFile {
 
     fn new(rows: impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static) -> Self {
         Self {
+            is_table: false,
             rows: Box::new(rows),
             before: None,
             after: None,
@@ -150,6 +159,49 @@ impl TruthFile {
             .chain(self.before)
             .min_by_key(distance);
         Ok(nearest.filter(|row| distance(row) <= TRUTH_WITHIN_US))
+    }
+}
+
+impl Timed for TrueRow {
+    fn time_us(&mut self) -> &mut i64 {
+        &mut self.t_us
+    }
+}
+
+/// Returns the reader of a recording's rows as `replay` sees them: times that come in batches are
+/// spread evenly.
+fn evenly(
+    mut rows: impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static,
+) -> impl FnMut() -> Result<Option<TrueRow>, Box<dyn Error>> + 'static {
+    let (mut ahead, mut even, mut is_started) = (VecDeque::new(), None, false);
+    move || {
+        if !std::mem::replace(&mut is_started, true) {
+            while ahead.len() < ROWS_SHOWING
+                && let Some(row) = rows()?
+            {
+                ahead.push_back(row);
+            }
+            let times_us: Vec<i64> = ahead.iter().map(|row: &TrueRow| row.t_us).collect();
+            if let Some(batches) = Batches::find(&times_us) {
+                let mut queue = EvenRows::new(batches);
+                let first = std::mem::take(&mut ahead);
+                ahead = first.into_iter().flat_map(|row| queue.push(row)).collect();
+                even = Some(queue);
+            }
+        }
+        loop {
+            if let Some(row) = ahead.pop_front() {
+                return Ok(Some(row));
+            }
+            match (rows()?, &mut even) {
+                (row, None) => return Ok(row),
+                (Some(row), Some(queue)) => ahead.extend(queue.push(row)),
+                (None, Some(queue)) => {
+                    ahead.extend(queue.end());
+                    return Ok(ahead.pop_front());
+                }
+            }
+        }
     }
 }
 
