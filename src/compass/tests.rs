@@ -373,9 +373,9 @@ fn bad_outcomes_apart_are_no_fault() {
     }
 }
 
-/// Two turns have one reading that is not acknowledged, or one and a look at the settings.
+/// Two slots have one reading that is not acknowledged, or one and a check of the settings.
 #[test]
-fn silent_turns_apart_are_no_fault() {
+fn silent_slots_apart_are_no_fault() {
     for (part, bus) in every_part() {
         let mut compass = find(bus, Choice::Auto).unwrap();
         for _ in 0..50 {
@@ -457,8 +457,8 @@ fn a_compass_that_stops_the_bus_is_left_alone_for_longer_and_longer() {
 fn after_good_readings_a_stop_of_the_bus_has_a_short_pause_again() {
     let [(_, mut bus), ..] = every_part();
     let mut session = Session::new(Choice::Auto);
-    // Returns whether the turn had a transfer.
-    let mut turn = |session: &mut Session, hangs: bool| {
+    // Returns whether the slot had a transfer.
+    let mut run_slot = |session: &mut Session, hangs: bool| {
         let Some(transfer) = session.next_transfer() else {
             return false;
         };
@@ -475,14 +475,14 @@ fn after_good_readings_a_stop_of_the_bus_has_a_short_pause_again() {
     for _ in 0..3 {
         let mut stops = Vec::new();
         for number in 0..100 {
-            if turn(&mut session, stops.len() < 4) && stops.len() < 4 {
+            if run_slot(&mut session, stops.len() < 4) && stops.len() < 4 {
                 stops.push(number);
             }
         }
         let pauses: Vec<i32> = stops.windows(2).map(|pair| pair[1] - pair[0]).collect();
         assert_eq!(pauses, [11, 21, 41]);
         for _ in 0..200 {
-            turn(&mut session, false);
+            run_slot(&mut session, false);
         }
         assert_eq!(session.fault(), None);
         assert!(session.is_running());

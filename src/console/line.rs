@@ -92,7 +92,8 @@ impl LineAssembler {
     }
 
     /// Forgets the line under way if noise is all that it has. A line of which characters are left
-    /// stays dropped up to its end: half a command is none. Call it after a pause.
+    /// stays dropped up to its end: half a command is none. A beginning that is garbled whole is
+    /// noise, and is forgotten too. Call it after a pause.
     pub fn forget_noise(&mut self) {
         if self.length == 0 && !self.is_complete {
             self.error = None;

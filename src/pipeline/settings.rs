@@ -195,7 +195,11 @@ impl Settings {
     /// Returns the delay of the sensor, in µs.
     pub(super) fn delay_us(&self) -> u32 {
         let gyroscope_us = self.part.gyroscope_delay_us(self.sensor.low_pass).into();
-        self.sensor_delay_us.unwrap_or(gyroscope_us)
+        match self.sensor_delay_us {
+            Some(delay_us) if delay_us > LONGEST_DELAY_US => 0,
+            Some(delay_us) => delay_us,
+            None => gyroscope_us,
+        }
     }
 
     /// Visits every field but the gyroscope's matrix, as
@@ -334,6 +338,9 @@ mod tests {
         ] {
             settings.sensor_delay_us = Some(delay_us);
             assert_eq!(settings.check().is_ok(), is_plausible, "{delay_us}");
+            // The compass's age goes by it too.
+            let used_us = if is_plausible { delay_us } else { 0 };
+            assert_eq!(settings.delay_us(), used_us);
         }
         let error = settings.check().expect_err("a delay of 71 minutes");
         assert!(error.to_string().contains("100000 microseconds"), "{error}");

@@ -29,8 +29,9 @@ use crate::kept_record;
 use crate::requests::{AFTER_PUBLICATION, FIGURES, MEASUREMENT, NEW_MEASUREMENT};
 use crate::requests::{JOB, Requests, TO_SUPERVISOR};
 
-/// Longest duration of a save, in ms. Erasing a 16 KiB sector stalls the core for up to half a
-/// second (STM32F405 datasheet, table "Flash memory programming"). The other jobs report progress.
+/// Longest duration of a save, in ms. It erases up to two sectors of 16 KiB, and each erase stalls
+/// the core for up to half a second (STM32F405 datasheet, table "Flash memory programming"). The
+/// other jobs report progress.
 const SAVE_LIMIT_MS: u32 = 2_000;
 /// Shortest pause in the samples around a job, in µs. It is longer than the filter bridges, so
 /// the attitude is flagged [`GAP`](aplomb::health::Flags::GAP) and restarts from gravity.

@@ -210,7 +210,7 @@ impl BurstReader {
     }
 
     /// Stops the transfer, and returns to bursts. An edge that has come meanwhile is lost: such a
-    /// transfer takes 100 µs, and the edge is 600 µs away.
+    /// transfer takes 100 µs, and the edge is 250 µs away or more at its end.
     fn leave_transfer(&mut self) {
         send_stop();
         self.return_to_bursts();

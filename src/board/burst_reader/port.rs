@@ -54,14 +54,15 @@ pub fn is_bus_held() -> bool {
 fn stays_low() -> bool {
     let since = timebase::now();
     let mut was_high = (false, false);
-    while was_high != (true, true) {
-        if timebase::elapsed(since, LONGEST_LOW_US) {
-            return true;
-        }
+    loop {
+        // Before the lines are read: an interrupt may come in between.
+        let is_late = timebase::elapsed(since, LONGEST_LOW_US);
         let (clock, data) = sensor_bus::levels();
         was_high = (was_high.0 | clock, was_high.1 | data);
+        if is_late || was_high == (true, true) {
+            return was_high != (true, true);
+        }
     }
-    false
 }
 
 pub(super) fn i2c1() -> &'static i2c1::RegisterBlock {

@@ -444,7 +444,7 @@ fn save_writes_an_unchanged_record_after_a_problem_at_start() {
 }
 
 /// A byte of noise does not cost the command that is typed a second later. Half a command is none,
-/// whatever the pause.
+/// whatever the pause, if a character of its first half is left.
 #[test]
 fn noise_is_forgotten_after_a_pause_and_half_a_line_is_not() {
     let mut harness = Harness::new();

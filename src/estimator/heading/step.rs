@@ -260,8 +260,14 @@ impl Heading {
     /// Rotates X by the drift of yaw.
     fn rotate_cross(&mut self, kalman: &Kalman) -> FieldSlice {
         let closed = self.closed();
-        let turn_rad =
-            dot(&closed.yaw, kalman.gyroscope_correction()) + self.drift_rad_s * closed.duration_s;
+        let corrected_rad = dot(&closed.yaw, kalman.gyroscope_correction());
+        let drift_rad = self.drift_rad_s * closed.duration_s;
+        let turn_rad = corrected_rad + drift_rad;
+        if kalman.is_still() && corrected_rad * drift_rad > 0.0 {
+            // A rest has found the offset, or a part of it: the level frame turns less from now on.
+            let left = larger(1.0 - corrected_rad / drift_rad, 0.0);
+            self.drift_rad_s *= left;
+        }
         let [x, y, ..] = self.state;
         self.covariance.subtract_cross(0, y, &self.cross_scratch);
         self.covariance.subtract_cross(1, -x, &self.cross_scratch);

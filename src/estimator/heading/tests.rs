@@ -286,6 +286,36 @@ fn an_offset_that_drifts_does_not_leave_the_heading_behind() {
     }
 }
 
+/// The rest finds the offset that the heading filter has followed.
+#[test]
+fn a_rest_after_a_drift_does_not_turn_the_heading() {
+    let mut flight = Flight::new(20.0, CompassKnowledge::Calibrated);
+    flight.rest(4.0);
+    let drive = |flight: &mut Flight| {
+        flight.run(1.0, |t_s| {
+            let wobble = 0.1 * libm::cosf(1.3 * t_s);
+            Vector3::new(wobble, 0.0, 0.25 * libm::cosf(0.2 * t_s))
+        });
+    };
+    flight.estimator.filter_mut().set_armed(true);
+    for second in 0..300_u16 {
+        let share = f32::from(second) / 300.0;
+        flight.offset_rad_s = Vector3::new(0.0, 0.0, share * radians(0.5));
+        drive(&mut flight);
+    }
+    let drift_deg_s = degrees(flight.heading.drift_rad_s);
+    assert!(drift_deg_s.abs() > 0.2, "{drift_deg_s}");
+    flight.estimator.filter_mut().set_armed(false);
+    flight.rest(8.0);
+    let drift_deg_s = degrees(flight.heading.drift_rad_s);
+    assert!(drift_deg_s.abs() < 0.1, "{drift_deg_s}");
+    flight.estimator.filter_mut().set_armed(true);
+    for _ in 0..60 {
+        drive(&mut flight);
+        flight.assert_error_below(3.0);
+    }
+}
+
 #[test]
 fn a_reset_keeps_the_settings_alone() {
     let mut flight = Flight::new(20.0, CompassKnowledge::Factory);

@@ -194,7 +194,7 @@ pub struct Kalman {
     long_after_s: f32,
     /// Duration of the present full-scale readings of any axis of either sensor.
     saturated_s: f32,
-    /// Duration of those of the gyroscope.
+    /// Duration of the present full-scale readings of the gyroscope.
     rate_saturated_s: f32,
     is_armed: bool,
     tilt: Tilt,

@@ -137,8 +137,12 @@ impl Receiver {
     fn classify(&self) -> Verdict {
         let bytes = self.bytes.get(..self.length).unwrap_or_default();
         if bytes.first() == Some(&START_1) {
-            return match bytes.get(1).map(|length| OVERHEAD_1 + usize::from(*length)) {
-                Some(whole) if bytes.len() >= whole => Verdict::Frame(whole, None),
+            return match bytes.get(1) {
+                // Noise before a frame, rather than one of 253 bytes.
+                Some(&START) => Verdict::NoFrame,
+                Some(&length) if bytes.len() >= OVERHEAD_1 + usize::from(length) => {
+                    Verdict::Frame(OVERHEAD_1 + usize::from(length), None)
+                }
                 _ => Verdict::Incomplete,
             };
         }

@@ -1070,6 +1070,16 @@ fn frames_of_version_1_are_skipped_and_not_answered() {
     }
 }
 
+/// A byte of noise that begins a frame of version 1 costs no frame of version 2 behind it.
+#[test]
+fn noise_before_a_frame_is_no_frame_of_version_1() {
+    let mut bench = Bench::new();
+    let request = command(MavCmd::MAV_CMD_DO_SET_MODE, [0.0; 7]);
+    bench.send_bytes(b"\xFE");
+    assert_eq!(bench.answers(&request).len(), 1);
+    assert_eq!(bench.text, b"\xFE");
+}
+
 const FRAME_TIMEOUT_US_AND_MORE: u64 = super::super::receiver::FRAME_TIMEOUT_US + 1;
 
 #[test]
