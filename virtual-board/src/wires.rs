@@ -93,9 +93,10 @@ pub struct Wires {
     levels: [bool; 2],
     /// Falling edges that the firmware made with the pin as an output: SCL, SDA.
     falls_made: [u32; 2],
-    /// Times that the sensor was left in a byte that it receives, and such bytes that it has
-    /// received from clocks that the firmware made by hand.
-    left_and_made: [u32; 2],
+    /// Times that a reset left the sensor waiting for a byte.
+    writes_left: u32,
+    /// Bytes that it then received from clocks that the firmware made by hand.
+    bytes_made: u32,
     /// True if the lines have shown a STOP that the sensor has not received yet: the firmware made
     /// it with the pins as outputs, or a shorted SDA rose while SCL was high.
     has_stopped: bool,
@@ -199,17 +200,22 @@ impl Wires {
         self.levels[1] &= !self.lost.is_low();
     }
 
-    /// Leaves the sensor at the begin of a byte that it receives.
-    pub fn leave_written(&mut self) {
+    /// Leaves the sensor waiting for a byte.
+    pub fn leave_write(&mut self) {
         self.lost = LostByte::Receiving { left: 8 };
-        self.left_and_made[0] += 1;
+        self.writes_left += 1;
     }
 
-    /// Times that the sensor was left in a byte that it receives, and such bytes that it has
-    /// received from clocks that the firmware made by hand.
+    /// Times that a reset left the sensor waiting for a byte.
     #[must_use]
-    pub fn left_and_made(&self) -> [u32; 2] {
-        self.left_and_made
+    pub fn writes_left(&self) -> u32 {
+        self.writes_left
+    }
+
+    /// Bytes that it then received from clocks that the firmware made by hand.
+    #[must_use]
+    pub fn bytes_made(&self) -> u32 {
+        self.bytes_made
     }
 
     /// Falling edges of SCL and of SDA that the firmware has made by hand.
@@ -244,7 +250,7 @@ impl Wires {
             if !before[0] && now[0] {
                 let lost = self.lost.clock_rises(now[1]);
                 let is_new = lost == LostByte::Received && self.lost != lost;
-                self.left_and_made[1] += u32::from(is_new);
+                self.bytes_made += u32::from(is_new);
                 self.lost = lost;
             }
             if before == now {

@@ -324,12 +324,13 @@ fn leaves_uncertain(episode: &Episode) -> bool {
     kinds.clone().any(may) || kinds.any(stops) && episode.end_ns - episode.start_ns >= UNCERTAIN_NS
 }
 
-/// Returns the edge of a sample, if it is known and there is no fault at that time, nor when the
-/// attitude came: a burst that the timer has started within a fault reads the sample of the last
-/// edge before it again.
+/// Returns the edge of a sample, if it is known and there is no fault at that time. A burst that
+/// the timer starts within a fault has none: it reads the sample of the last edge before it again.
 fn free_edge(sample: &Sample, is_free: &impl Fn(u64) -> bool) -> Option<DataReady> {
-    let edge = sample.edge.filter(|_| sample.is_new);
-    edge.filter(|edge| is_free(edge.time_ns) && is_free(sample.published_ns))
+    let is_polled = sample.snapshot.flags.contains(Flags::POLLED);
+    let has_edge = sample.is_new && !(is_polled && !is_free(sample.published_ns));
+    let edge = sample.edge.filter(|_| has_edge);
+    edge.filter(|edge| is_free(edge.time_ns))
 }
 
 fn length(vector: [f64; 3]) -> f64 {

@@ -583,7 +583,7 @@ impl WiredI2c {
         self.was_enabled = false;
         if std::mem::take(&mut self.is_written) {
             // The device does not see the reset: it waits for the rest of the byte.
-            self.wires.lock().leave_written();
+            self.wires.lock().leave_write();
         }
     }
 }

@@ -492,7 +492,8 @@ impl Recorder {
         self.record.steps_at_faults = steps.to_vec();
         let wires = session.board_mut().controller.sensor().wires();
         self.record.falls_by_hand = wires.lock().falls_made();
-        self.record.bytes_left_and_made = wires.lock().left_and_made();
+        self.record.writes_left = wires.lock().writes_left();
+        self.record.bytes_by_hand = wires.lock().bytes_made();
         self.record.prefetches = session.board().controller.prefetches();
         self.record.ram_power_ups = self.ram.power_ups();
         self.record.last = (stop.instruction_count, stop.at.0);

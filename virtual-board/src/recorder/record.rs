@@ -70,9 +70,10 @@ pub struct Record {
     pub sensor_ready_ns: Vec<u64>,
     /// Falling edges of SCL and of SDA that the firmware made with the pin as an output.
     pub falls_by_hand: [u32; 2],
-    /// Times that a reset left the sensor in a byte that it receives, and such bytes that it has
-    /// received from clocks that the firmware made by hand.
-    pub bytes_left_and_made: [u32; 2],
+    /// Times that a reset left the sensor waiting for a byte.
+    pub writes_left: u32,
+    /// Bytes that it then received from clocks that the firmware made by hand.
+    pub bytes_by_hand: u32,
     /// True if the flash's prefetch is on at the end.
     pub prefetches: bool,
     /// Times of the processor's resets, ns.
