@@ -328,8 +328,8 @@ fn leaves_uncertain(episode: &Episode) -> bool {
 /// the timer starts within a fault has none: it reads the sample of the last edge before it again.
 fn free_edge(sample: &Sample, is_free: &impl Fn(u64) -> bool) -> Option<DataReady> {
     let is_polled = sample.snapshot.flags.contains(Flags::POLLED);
-    let has_edge = sample.is_new && !(is_polled && !is_free(sample.published_ns));
-    let edge = sample.edge.filter(|_| has_edge);
+    let is_read_again = is_polled && !is_free(sample.published_ns);
+    let edge = sample.edge.filter(|_| sample.is_new && !is_read_again);
     edge.filter(|edge| is_free(edge.time_ns))
 }
 
